@@ -1,0 +1,198 @@
+"""What all readers share: files, the collecting of surfaces and materials, and the rules that every scene must meet."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from raygrid.host.scene_polygons import Ints, flat_polygons, flat_triangles
+from raygrid.node.errors import SceneError
+from raygrid.node.frame import MATERIAL
+from raygrid.node.surfaces import F64, MAX_MATERIALS, MAX_SURFACES, STRIDE, Batch, Kind, SurfaceSet, merge
+
+Table = NDArray[np.void]
+
+# Coordinates beyond this are refused: areas are squared lengths and are squared again, which must not overflow.
+MAX_COORDINATE = 1e30
+
+
+def read_bytes(path: Path) -> bytes:
+    """The contents of a file; raises SceneError if there is none, or if it cannot be read."""
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise SceneError(f"{path}: there is no such file") from None
+    except OSError as error:
+        raise SceneError(f"{path}: the file cannot be read ({error.strerror or error})") from None
+
+
+def plural(count: int, noun: str) -> str:
+    """`1 triangle`, `3 triangles`."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def material(
+    diffuse: ArrayLike = 0.0,
+    highlight: ArrayLike = 0.0,
+    shine: float = 0.0,
+    specular: ArrayLike = 0.0,
+    transmission: ArrayLike = 0.0,
+    ior: float = 1.0,
+) -> Table:
+    """One row of a material table, MATERIAL (1,). Weights are linear, a number each or three."""
+    row = np.zeros(1, MATERIAL)
+    row["diffuse"], row["highlight"], row["shine"] = diffuse, highlight, shine
+    row["specular"], row["transmission"] = specular, transmission
+    # An index that is never used would only keep equal materials apart.
+    row["ior"] = ior if row["transmission"].any() else 1.0
+    return row
+
+
+class SceneBuilder:
+    """Collects surfaces and materials, and makes the tables of a scene from them.
+
+    Surfaces come with an order number each, by default a running one; ids follow the order numbers, and among equal
+    ones the sequence of the calls. Triangles and polygons without area are dropped and counted.
+    """
+
+    def __init__(self, where: str) -> None:
+        """`where` begins every message: the file's path."""
+        self.where = where
+        self.remarks: list[str] = []
+        self._batches: list[tuple[Kind, F64, Ints, Ints, Ints]] = []  # kind, data, materials, order, starts
+        self._materials: list[Table] = []
+        self._baked: list[bool] = []
+        self._next = 0
+        self._dropped = {"triangle": 0, "polygon": 0}
+
+    def add_materials(self, rows: Table, baked: bool = False) -> int:
+        """Take materials, MATERIAL (m,); returns the number of the first. `baked`: from a texture's colours, so that
+        they may be rounded if there are too many."""
+        first = sum(len(rows) for rows in self._materials)
+        self._materials.append(rows)
+        self._baked.append(baked)
+        return first
+
+    def add(self, kind: Kind, data: F64, materials: ArrayLike, order: Ints | None = None) -> None:
+        """Take surfaces of any kind but polygons: data (n, STRIDE[kind]), materials (n,) or one number for all."""
+        if kind in (Kind.TRIANGLE, Kind.SMOOTH):
+            keep = ~flat_triangles(self._checked(data)[:, :9].reshape(-1, 3, 3))
+            if not keep.all():
+                self._dropped["triangle"] += int(np.count_nonzero(~keep))
+                data, order = data[keep], None if order is None else order[keep]
+                materials = np.broadcast_to(materials, keep.shape)[keep]
+        if kind == Kind.SMOOTH:
+            data = _with_unit_normals(data)
+        self._take(kind, data, materials, order, len(data), np.zeros(0, np.int64))
+
+    def add_polygons(self, points: F64, starts: Ints, materials: ArrayLike, order: Ints | None = None) -> None:
+        """Take planar polygons: points (p, 3), starts (n + 1,) as in a Batch, materials (n,) or one for all."""
+        flat = flat_polygons(self._checked(points), starts)
+        if flat.any():
+            self._dropped["polygon"] += int(np.count_nonzero(flat))
+            sizes = np.diff(starts)
+            points = points[np.repeat(~flat, sizes)]
+            starts = np.concatenate(([0], np.cumsum(sizes[~flat]))).astype(np.int64)
+            materials = np.broadcast_to(materials, flat.shape)[~flat]
+            order = None if order is None else order[~flat]
+        self._take(Kind.POLYGON, points, materials, order, len(starts) - 1, starts)
+
+    def finish(self) -> tuple[SurfaceSet, Table, tuple[str, ...]]:
+        """Surfaces, materials and remarks. Raises SceneError without surfaces, or with too many of anything."""
+        self.remarks += [f"{plural(n, noun)} without area dropped" for noun, n in self._dropped.items() if n]
+        order = np.concatenate([batch[3] for batch in self._batches] or [np.zeros(0, np.int64)])
+        if not len(order):
+            dropped = sum(self._dropped.values())
+            came = f"only {plural(dropped, 'surface')} without area" if dropped else "no surfaces"
+            raise SceneError(f"{self.where}: the file has {came}, wanted at least one surface")
+        if len(order) > MAX_SURFACES:
+            raise SceneError(f"{self.where}: the file has {len(order)} surfaces, wanted at most {MAX_SURFACES}")
+        ids = np.empty(len(order), np.uint32)
+        ids[np.argsort(order, kind="stable")] = np.arange(len(order), dtype=np.uint32)
+        table, share = self._shared_materials()
+        made, begin = [], 0
+        for kind, data, materials, _, starts in self._batches:
+            end = begin + (len(starts) - 1 if kind == Kind.POLYGON else len(data))
+            made.append(Batch(kind, ids[begin:end], share[materials].astype(np.uint16), data, starts))
+            begin = end
+        return SurfaceSet(tuple(_in_order(batch) for batch in merge(made))), table, tuple(self.remarks)
+
+    def _take(self, kind: Kind, data: F64, materials: ArrayLike, order: Ints | None, n: int, starts: Ints) -> None:
+        if order is None:
+            order = np.arange(self._next, self._next + n)
+        if n:
+            self._next = max(self._next, int(order.max()) + 1)
+            every = np.ascontiguousarray(np.broadcast_to(materials, (n,)), np.int64)
+            self._batches.append((kind, self._checked(data).reshape(-1, STRIDE[kind]), every, order, starts))
+
+    def _checked(self, data: F64) -> F64:
+        if not np.isfinite(data).all():
+            raise SceneError(f"{self.where}: a surface has a number that is not finite")
+        if np.abs(data).max(initial=0.0) > MAX_COORDINATE:
+            raise SceneError(f"{self.where}: a surface has the number {np.abs(data).max():g}, wanted at most 1e30")
+        return data
+
+    def _shared_materials(self) -> tuple[Table, Ints]:
+        """The distinct materials that are used, and for each number given out by `add_materials` its row."""
+        rows = np.concatenate(self._materials)
+        baked = np.repeat(self._baked, [len(part) for part in self._materials])
+        used = np.zeros(len(rows), np.bool_)
+        for batch in self._batches:
+            used[batch[2]] = True
+        table, share = _distinct(rows, used)
+        levels = 16
+        while len(table) > MAX_MATERIALS and levels >= 2 and baked.any():
+            rows["diffuse"][baked] = _rounded(rows["diffuse"][baked], levels)
+            table, share = _distinct(rows, used)
+            self.remarks.append(f"too many colours in textures: rounded to {levels} levels of each primary")
+            levels //= 2
+        if len(table) > MAX_MATERIALS:
+            raise SceneError(f"{self.where}: the file has {len(table)} materials, wanted at most {MAX_MATERIALS}")
+        return table, share
+
+
+def _in_order(batch: Batch) -> Batch:
+    return batch if (batch.ids[:-1] < batch.ids[1:]).all() else batch.select(np.argsort(batch.ids))
+
+
+def _distinct(rows: Table, used: NDArray[np.bool_]) -> tuple[Table, Ints]:
+    """The distinct rows among the used ones in order of first appearance, and where each row went (unused ones: 0)."""
+    keys = np.ascontiguousarray(rows[used]).view(np.dtype((np.void, MATERIAL.itemsize))).reshape(-1)
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    place = np.empty(len(first), np.int64)
+    place[np.argsort(first)] = np.arange(len(first))
+    share = np.zeros(len(rows), np.int64)
+    share[used] = place[inverse]
+    return rows[used][np.sort(first)], share
+
+
+def _rounded(colours: F64, levels: int) -> F64:
+    """Linear colours rounded to so many levels a primary, evenly to the eye."""
+    return np.asarray((np.round(colours ** (1 / 2.2) * (levels - 1)) / (levels - 1)) ** 2.2)
+
+
+def _with_unit_normals(data: F64) -> F64:
+    """SMOOTH data with its normals made unit vectors; where one has no length the triangle's own takes its place."""
+    corners, normals = data[:, :9].reshape(-1, 3, 3), data[:, 9:].reshape(-1, 3, 3)
+    length = np.linalg.norm(normals, axis=2, keepdims=True)
+    lost = length[..., 0] < 1e-12
+    units = normals / np.where(lost[..., None], 1.0, length)
+    if lost.any():
+        faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        faces /= np.linalg.norm(faces, axis=1, keepdims=True)
+        units = np.where(lost[..., None], faces[:, None], units)
+    return np.concatenate((data[:, :9], units.reshape(-1, 9)), axis=1)
+
+
+def shown(value: Any) -> str:
+    """A value out of a file for a message, shortened."""
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def colour(values: Sequence[float]) -> tuple[float, float, float]:
+    """Three numbers as a colour."""
+    return float(values[0]), float(values[1]), float(values[2])

@@ -1,0 +1,235 @@
+"""What one node retains, and the tables that the ray step reads, built from it.
+
+Everything derived here is a function of the description alone (never of the cell), so two nodes that
+hold the same surface test it with the same numbers. Only boxes in the hierarchy are cut to the cell.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .compiled import kernel
+from .hierarchy import build
+from .intersect import (
+    CONE_AXIS,
+    CONE_BASE,
+    CONE_COLUMNS,
+    CONE_HEIGHT,
+    CONE_INSIDE,
+    CONE_RADIUS,
+    CONE_SLOPE,
+    PLANE_BIN_SCALE,
+    PLANE_COLUMNS,
+    PLANE_FIRST_BIN,
+    PLANE_NORMAL,
+    PLANE_OFFSET,
+    POLY_BIN_START,
+    POLY_BINS,
+    POLY_COLUMNS,
+    POLY_DROP,
+)
+from .lattice import SLACK, Cell
+from .surfaces import Batch, Kind, SurfaceSet
+from .tables import KIND_SHIFT, Surfaces
+
+F64 = NDArray[np.float64]
+MOST_BINS = 1024  # strips of a polygon's height
+
+
+def cone_table(data: F64) -> F64:
+    """Derived columns of cylinders and cones, float64 (n, CONE_COLUMNS), from their 8 numbers."""
+    table = np.zeros((len(data), CONE_COLUMNS))
+    axis = data[:, 4:7] - data[:, 0:3]
+    height = np.sqrt(np.sum(axis * axis, axis=1))
+    table[:, CONE_BASE : CONE_BASE + 3] = data[:, 0:3]
+    table[:, CONE_AXIS : CONE_AXIS + 3] = axis / height[:, None]
+    table[:, CONE_HEIGHT] = height
+    table[:, CONE_RADIUS] = np.abs(data[:, 3])
+    table[:, CONE_SLOPE] = (np.abs(data[:, 7]) - np.abs(data[:, 3])) / height
+    table[:, CONE_INSIDE] = (data[:, 3] < 0.0) | (data[:, 7] < 0.0)
+    return table
+
+
+def polygon_tables(points: F64, starts: NDArray[np.int64]) -> tuple[F64, NDArray[np.int64], NDArray[np.int64], F64]:
+    """(planes, headers, bins, edges) of polygons, see `node.intersect.in_polygon`.
+
+    The normal is Newell's: twice the area vector, the best plane through points that are not quite planar.
+    """
+    n = len(starts) - 1
+    planes, headers = np.zeros((n, PLANE_COLUMNS)), np.zeros((n, POLY_COLUMNS), np.int64)
+    if n == 0:
+        return planes, headers, np.zeros(1, np.int64), np.zeros((0, 4))
+    sizes = np.diff(starts)
+    most_bins = np.minimum(np.where(sizes <= 6, 1, sizes), MOST_BINS)
+    # a strip lists an edge once; an edge may lie in every strip, so strips are halved until the lists are short
+    bins = np.zeros(int(most_bins.sum()) + n + 1, np.int64)
+    edges = np.zeros((int((8 * sizes + most_bins).sum()) + 16, 4))
+    used_bins, used_edges = _polygons(points, starts, most_bins, planes, headers, bins, edges)
+    return planes, headers, bins[:used_bins].copy(), edges[:used_edges].copy()
+
+
+@kernel
+def _newell(points, first, last):
+    """Area vector and middle of a polygon."""
+    nx, ny, nz, mx, my, mz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(first, last):
+        after = k + 1 if k + 1 < last else first
+        # taken about the first point, so that a polygon far from the origin keeps its digits
+        ax, ay, az = points[k, 0] - points[first, 0], points[k, 1] - points[first, 1], points[k, 2] - points[first, 2]
+        bx, by, bz = (
+            points[after, 0] - points[first, 0],
+            points[after, 1] - points[first, 1],
+            points[after, 2] - points[first, 2],
+        )
+        nx += ay * bz - az * by
+        ny += az * bx - ax * bz
+        nz += ax * by - ay * bx
+        mx += ax
+        my += ay
+        mz += az
+    n = last - first
+    return nx, ny, nz, points[first, 0] + mx / n, points[first, 1] + my / n, points[first, 2] + mz / n
+
+
+@kernel
+def _count_in_bins(points, first, last, v, low, scale, bins):
+    """How many entries the lists of all strips have together."""
+    total = 0
+    for k in range(first, last):
+        after = k + 1 if k + 1 < last else first
+        a, b = min(points[k, v], points[after, v]), max(points[k, v], points[after, v])
+        if a < b:
+            total += min(np.int64((b - low) * scale), bins - 1) - np.int64((a - low) * scale) + 1
+    return total
+
+
+@kernel
+def _polygons(points, starts, most_bins, planes, headers, bins, edges):
+    """Fill the tables; returns how much of `bins` and `edges` is used."""
+    next_bin, next_edge = 0, 0
+    for row in range(len(starts) - 1):
+        first, last = starts[row], starts[row + 1]
+        nx, ny, nz, mx, my, mz = _newell(points, first, last)
+        length = np.sqrt(nx * nx + ny * ny + nz * nz)
+        nx, ny, nz = nx / length, ny / length, nz / length
+        planes[row, PLANE_NORMAL], planes[row, PLANE_NORMAL + 1], planes[row, PLANE_NORMAL + 2] = nx, ny, nz
+        planes[row, PLANE_OFFSET] = nx * mx + ny * my + nz * mz
+        drop = 0 if abs(nx) >= abs(ny) and abs(nx) >= abs(nz) else (1 if abs(ny) >= abs(nz) else 2)
+        u, v = (drop + 1) % 3, (drop + 2) % 3
+        low, high = np.inf, -np.inf
+        for k in range(first, last):
+            low, high = min(low, points[k, v]), max(high, points[k, v])
+        count = most_bins[row]
+        while count > 1 and _count_in_bins(points, first, last, v, low, count / (high - low), count) > 8 * (last - first):
+            count //= 2
+        scale = count / (high - low)
+        headers[row, POLY_DROP], headers[row, POLY_BIN_START], headers[row, POLY_BINS] = drop, next_bin, count
+        planes[row, PLANE_FIRST_BIN], planes[row, PLANE_BIN_SCALE] = low, scale
+        for strip in range(count):
+            bins[next_bin] = next_edge
+            next_bin += 1
+            next_edge = _edges_of_strip(points, first, last, u, v, low, scale, strip, count, edges, next_edge)
+        bins[next_bin] = next_edge
+        next_bin += 1
+    return next_bin, next_edge
+
+
+@kernel
+def _edges_of_strip(points, first, last, u, v, low, scale, strip, count, edges, next_edge):
+    """Append the edges whose height range touches a strip; each runs from its lower end to its upper one."""
+    for k in range(first, last):
+        after = k + 1 if k + 1 < last else first
+        a, b = (k, after) if points[k, v] < points[after, v] else (after, k)
+        if points[a, v] < points[b, v]:
+            # the product is the one of the lookup, and rounds monotonically: no strip is missed
+            if np.int64((points[a, v] - low) * scale) <= strip and strip <= np.int64((points[b, v] - low) * scale):
+                edges[next_edge, 0] = points[a, u]
+                edges[next_edge, 1] = points[a, v]
+                edges[next_edge, 2] = points[b, v]
+                edges[next_edge, 3] = (points[b, u] - points[a, u]) / (points[b, v] - points[a, v])
+                next_edge += 1
+    return next_edge
+
+
+def _find(surfaces: SurfaceSet, kind: Kind) -> Batch | None:
+    for batch in surfaces:
+        if batch.kind == kind and len(batch):
+            return batch
+    return None
+
+
+def build_surfaces(retained: SurfaceSet, cell: Cell) -> Surfaces:
+    """The tables of a node that retains these surfaces (machine coordinates, at most one batch a kind)."""
+    kinds = [batch for batch in retained if len(batch)]
+    if not kinds:
+        return empty_surfaces()
+    boxes = np.concatenate([batch.bounds() for batch in kinds])
+    boxes[:, 0] = np.maximum(boxes[:, 0], np.array(cell.low_at) - 2 * SLACK)
+    boxes[:, 1] = np.minimum(boxes[:, 1], np.array(cell.high_at) + 2 * SLACK)
+    boxes[:, 0] = np.minimum(boxes[:, 0], boxes[:, 1])
+    order, floats = build(boxes)
+    words = np.concatenate(
+        [(np.uint32(batch.kind) << np.uint32(KIND_SHIFT)) | np.arange(len(batch), dtype=np.uint32) for batch in kinds]
+    )[order]
+    flat = {kind: _in_leaf_order(retained, kind, words) for kind in (Kind.TRIANGLE, Kind.SMOOTH, Kind.SPHERE)}
+    cones = _cones_in_leaf_order(retained, words)
+    polygons = _find(retained, Kind.POLYGON)
+    tables = (
+        polygon_tables(np.ascontiguousarray(polygons.data, np.float64), polygons.starts)
+        if polygons is not None
+        else polygon_tables(np.zeros((0, 3)), np.zeros(1, np.int64))
+    )
+    return Surfaces(
+        floats,
+        floats.view(np.int32),
+        words,
+        np.concatenate([batch.ids for batch in kinds])[order],
+        np.concatenate([batch.materials for batch in kinds])[order],
+        flat[Kind.TRIANGLE].astype(np.float32, copy=False),
+        flat[Kind.SMOOTH].astype(np.float32, copy=False),
+        flat[Kind.SPHERE].astype(np.float64, copy=False),
+        cones,
+        *tables,
+    )
+
+
+def _in_leaf_order(retained: SurfaceSet, kind: Kind, words: NDArray[np.uint32]) -> NDArray[np.floating]:
+    """The rows of a kind in the order in which leaves name them; `words` are renumbered in place."""
+    batch = _find(retained, kind)
+    if batch is None:
+        return np.zeros((0, {Kind.TRIANGLE: 9, Kind.SMOOTH: 18, Kind.SPHERE: 4}[kind]))
+    named = np.flatnonzero(words >> np.uint32(KIND_SHIFT) == kind)
+    rows = batch.data[words[named] & np.uint32((1 << KIND_SHIFT) - 1)]
+    words[named] = (np.uint32(kind) << np.uint32(KIND_SHIFT)) | np.arange(len(named), dtype=np.uint32)
+    return np.ascontiguousarray(rows)
+
+
+def _cones_in_leaf_order(retained: SurfaceSet, words: NDArray[np.uint32]) -> F64:
+    """Cylinders, then cones, in one table; the words of cones are moved behind the cylinders."""
+    cylinders, cones = _find(retained, Kind.CYLINDER), _find(retained, Kind.CONE)
+    tables = [cone_table(batch.data.astype(np.float64)) for batch in (cylinders, cones) if batch is not None]
+    if cylinders is not None and cones is not None:
+        words[words >> np.uint32(KIND_SHIFT) == Kind.CONE] += np.uint32(len(cylinders))
+    return np.concatenate(tables) if tables else np.zeros((0, CONE_COLUMNS))
+
+
+def empty_surfaces() -> Surfaces:
+    """The tables of a node that retains nothing: no hierarchy, which the ray step skips."""
+    floats = np.zeros((0, 16), np.float32)
+    planes, headers, bins, edges = polygon_tables(np.zeros((0, 3)), np.zeros(1, np.int64))
+    return Surfaces(
+        floats,
+        floats.view(np.int32),
+        np.zeros(0, np.uint32),
+        np.zeros(0, np.uint32),
+        np.zeros(0, np.uint16),
+        np.zeros((0, 9), np.float32),
+        np.zeros((0, 18), np.float32),
+        np.zeros((0, 4)),
+        np.zeros((0, CONE_COLUMNS)),
+        planes,
+        headers,
+        bins,
+        edges,
+    )

@@ -1,0 +1,364 @@
+"""The ray step: what a node does with packets. A pure function of cell, surfaces, frame and packets.
+
+Packets go in as 25-byte rows with the port by which each came; what comes out is written to one row of
+bytes an output (six ports, host, and what starts in this node), intensities that are at home here to the
+pixel store, and costs to an array of counts. The node process, the in-memory array, the timed emulator
+and the simulator all call `step`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .camera import home_of_sample
+from .compiled import kernel, part
+from .lattice import LIFT, T_MIN, nearest
+from .packets import (
+    PIXEL,
+    REFLECTED,
+    REFRACTED,
+    RETURN,
+    SHADOW,
+    SIZE,
+    copy_packet,
+    get_intensity,
+    octahedral,
+    pack_weight,
+    put_ray,
+    put_return,
+    put_shadow,
+    read_u16,
+    read_u24,
+    read_u32,
+    unit_vector,
+    unpack_shadow_weight,
+    unpack_weight,
+)
+from .pixels import fixed_point, slot
+from .shading import light_direction, light_intensity, normals, place, refract
+from .tables import (
+    BORN,
+    COS_DISC,
+    DIED,
+    DIFFUSE,
+    DISC,
+    HIGHLIGHT,
+    HITS,
+    HOMES,
+    IOR,
+    LIGHT_KIND,
+    MISADDRESSED,
+    SENT,
+    SHINE,
+    SPECULAR,
+    TRANSMISSION,
+    WALKS,
+)
+from .traverse import blocked, closest
+from .walk import (
+    HOST,
+    NO_PORT,
+    OUTPUTS,
+    SELF,
+    SELF_RAYS,
+    inverse,
+    is_walking,
+    leaves_array,
+    passage,
+    towards_cell,
+    towards_start,
+)
+
+HEAD = 16  # bytes kept free at the head of every output for the link's header
+
+
+class Outputs(NamedTuple):
+    """Where a step writes: bytes uint8 (OUTPUTS, HEAD + room * SIZE), packets held int64 (OUTPUTS,), and scratch."""
+
+    data: NDArray[np.uint8]
+    held: NDArray[np.int64]
+    stack: NDArray[np.int64]
+    times: NDArray[np.float32]
+
+
+def make_outputs(room: int, stack: int) -> Outputs:
+    """Empty outputs with room for this many packets each."""
+    return Outputs(
+        np.zeros((OUTPUTS, HEAD + room * SIZE), np.uint8),
+        np.zeros(OUTPUTS, np.int64),
+        np.zeros(stack, np.int64),
+        np.zeros(stack, np.float32),
+    )
+
+
+@part
+def _claim(outputs, output, counts):
+    """Bytes of the next free packet of an output, and where it begins in them."""
+    at = HEAD + outputs.held[output] * SIZE
+    outputs.held[output] += 1
+    counts[SENT + output] += 1
+    return outputs.data[output], at
+
+
+@part
+def _hand_on(packets, at, output, outputs, counts):
+    row, to = _claim(outputs, output, counts)
+    copy_packet(packets, at, row, to)
+
+
+@part
+def _give_back(cell, space, frame, pixels, sample, depth, red, green, blue, outputs, counts):
+    """Bear a return packet; if its home is here it dies at once, in the pixel store."""
+    intensity = (np.float32(red), np.float32(green), np.float32(blue))
+    if not (intensity[0] > 0.0 or intensity[1] > 0.0 or intensity[2] > 0.0):
+        return
+    home = home_of_sample(frame, space, sample)
+    counts[BORN + RETURN] += 1
+    counts[HOMES] += 1
+    port = towards_cell(cell.index, home)
+    if port == NO_PORT:
+        _keep(frame, pixels, sample, intensity, counts)
+        return
+    row, at = _claim(outputs, port, counts)
+    put_return(row, at, depth, sample, intensity, home)
+
+
+@part
+def _keep(frame, pixels, sample, intensity, counts):
+    """Add an intensity to its pixel. The return packet dies."""
+    pixel = sample // frame.samples
+    j = pixel // frame.width
+    here = slot(pixels, pixel - j * frame.width, j)
+    counts[DIED + RETURN] += 1
+    if here < 0:
+        counts[MISADDRESSED] += 1
+        return
+    for k in range(3):
+        pixels.sums[here, k] += fixed_point(intensity[k])
+
+
+@part
+def _origin(space, p, g, d):
+    """Lattice origin of a ray born at p: lifted off the surface to the side that it goes to, then rounded."""
+    side = LIFT if g[0] * d[0] + g[1] * d[1] + g[2] * d[2] >= 0.0 else -LIFT
+    return (
+        nearest(p[0] + side * g[0], space.step[0]),
+        nearest(p[1] + side * g[1], space.step[1]),
+        nearest(p[2] + side * g[2], space.step[2]),
+    )
+
+
+@part
+def _bear_ray(cell, space, frame, kind, depth, sample, p, g, d, weight, outputs, counts):
+    """Bear a reflected or refracted ray, unless it is too faint."""
+    if not max(weight[0], weight[1], weight[2]) > frame.min_weight:
+        return
+    origin = _origin(space, p, g, d)
+    packed = pack_weight(weight[0], weight[1], weight[2])
+    counts[BORN + kind] += 1
+    output = towards_start(cell, origin)
+    row, at = _claim(outputs, SELF_RAYS if output == NO_PORT else output, counts)
+    put_ray(row, at, kind, depth, sample, origin, octahedral(d[0], d[1], d[2]), packed)
+
+
+@part
+def _bear_shadows(cell, space, frame, material, depth, sample, p, g, n, mirror, weight, outputs, counts):
+    """Bear a shadow ray to each light that faces the surface; it carries what it will add."""
+    m = frame.materials
+    for light in range(frame.n_lights):
+        to_light, distance = light_direction(frame.lights, light, p)
+        cosine = n[0] * to_light[0] + n[1] * to_light[1] + n[2] * to_light[2]
+        if not cosine > 0.0:
+            continue
+        intensity = light_intensity(frame.lights, light, to_light, distance)
+        shine = 0.0
+        if m[material, HIGHLIGHT] > 0.0 or m[material, HIGHLIGHT + 1] > 0.0 or m[material, HIGHLIGHT + 2] > 0.0:
+            along = mirror[0] * to_light[0] + mirror[1] * to_light[1] + mirror[2] * to_light[2]
+            shine = max(along, 0.0) ** m[material, SHINE]
+        red = weight[0] * intensity[0] * (m[material, DIFFUSE] * cosine + m[material, HIGHLIGHT] * shine)
+        green = weight[1] * intensity[1] * (m[material, DIFFUSE + 1] * cosine + m[material, HIGHLIGHT + 1] * shine)
+        blue = weight[2] * intensity[2] * (m[material, DIFFUSE + 2] * cosine + m[material, HIGHLIGHT + 2] * shine)
+        origin = _origin(space, p, g, to_light)
+        counts[BORN + SHADOW] += 1
+        output = towards_start(cell, origin)
+        row, at = _claim(outputs, SELF if output == NO_PORT else output, counts)
+        put_shadow(row, at, depth, sample, origin, light, (red, green, blue))
+
+
+@part
+def _shade(cell, space, frame, surfaces, packets, at, kind, o, d, t, item, u, v, outputs, counts):
+    """The incoming ray dies at a hit; what it gives birth to is put on the outputs."""
+    sample, depth = read_u32(packets, at + 1), np.int64(packets[at]) >> 3
+    weight = unpack_weight(read_u32(packets, at + 20) | (np.int64(packets[at + 24]) << 32))
+    p = (o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2])
+    g, n = normals(surfaces, item, p, u, v)
+    material = np.int64(surfaces.materials[item])
+    counts[DIED + kind] += 1
+    counts[HITS] += 1
+    cosine = -(d[0] * n[0] + d[1] * n[1] + d[2] * n[2])
+    if cosine < 0.0:
+        n, cosine = (-n[0], -n[1], -n[2]), -cosine
+    mirror = (d[0] + 2.0 * cosine * n[0], d[1] + 2.0 * cosine * n[1], d[2] + 2.0 * cosine * n[2])
+    _bear_shadows(cell, space, frame, material, depth, sample, p, g, n, mirror, weight, outputs, counts)
+    if depth >= frame.depth:
+        return
+    m = frame.materials
+    ks = (m[material, SPECULAR], m[material, SPECULAR + 1], m[material, SPECULAR + 2])
+    if ks[0] > 0.0 or ks[1] > 0.0 or ks[2] > 0.0:
+        reflected = (weight[0] * ks[0], weight[1] * ks[1], weight[2] * ks[2])
+        _bear_ray(cell, space, frame, REFLECTED, depth + 1, sample, p, g, mirror, reflected, outputs, counts)
+    kt = (m[material, TRANSMISSION], m[material, TRANSMISSION + 1], m[material, TRANSMISSION + 2])
+    if kt[0] > 0.0 or kt[1] > 0.0 or kt[2] > 0.0:
+        entering = d[0] * g[0] + d[1] * g[1] + d[2] * g[2] < 0.0
+        ratio = 1.0 / m[material, IOR] if entering else m[material, IOR]
+        passes, direction = refract(d, n, cosine, ratio)
+        if not passes:
+            direction, kt = mirror, (1.0, 1.0, 1.0)
+        refracted = (weight[0] * kt[0], weight[1] * kt[1], weight[2] * kt[2])
+        _bear_ray(cell, space, frame, REFRACTED, depth + 1, sample, p, g, direction, refracted, outputs, counts)
+
+
+@part
+def _at_edge(cell, space, frame, pixels, packets, at, kind, d, outputs, counts):
+    """A ray that leaves the scene brings home the background, or the light that it is directed towards."""
+    sample, depth = read_u32(packets, at + 1), np.int64(packets[at]) >> 3
+    weight = unpack_weight(read_u32(packets, at + 20) | (np.int64(packets[at + 24]) << 32))
+    red, green, blue = edge_colour(frame, d)
+    counts[DIED + kind] += 1
+    _give_back(
+        cell, space, frame, pixels, sample, depth, weight[0] * red, weight[1] * green, weight[2] * blue, outputs, counts
+    )
+
+
+@part
+def edge_colour(frame, d):
+    """What a ray that leaves the scene in direction d sees: the background, or the disc of a light."""
+    red, green, blue = frame.background
+    if frame.discs:
+        lights = frame.lights
+        for light in range(frame.n_lights):
+            x, y, z = lights[light, 1], lights[light, 2], lights[light, 3]
+            if lights[light, LIGHT_KIND] == 0.0 and x * d[0] + y * d[1] + z * d[2] >= lights[light, COS_DISC]:
+                red, green, blue = lights[light, DISC], lights[light, DISC + 1], lights[light, DISC + 2]
+    return red, green, blue
+
+
+@part
+def _step_ray(cell, space, frame, surfaces, pixels, packets, at, port, kind, outputs, counts):
+    """A primary, reflected or refracted ray."""
+    origin = (read_u24(packets, at + 5), read_u24(packets, at + 8), read_u24(packets, at + 11))
+    if not is_walking(cell, origin, port):
+        onward = towards_start(cell, origin)
+        if onward != NO_PORT:
+            _hand_on(packets, at, onward, outputs, counts)
+            return
+    o = place(origin, space.step)
+    d = unit_vector(read_u24(packets, at + 14), read_u24(packets, at + 17))
+    inv = (inverse(d[0]), inverse(d[1]), inverse(d[2]))
+    t_in, t_out, leave = passage(cell, origin, o, inv)
+    counts[WALKS] += 1
+    if len(surfaces.floats) > 0:
+        t, item, u, v = closest(surfaces, outputs.stack, outputs.times, o, d, inv, max(t_in, T_MIN), t_out, counts)
+        if item >= 0:
+            _shade(cell, space, frame, surfaces, packets, at, kind, o, d, t, item, u, v, outputs, counts)
+            return
+    if leaves_array(cell.index, space.shape, leave):
+        _at_edge(cell, space, frame, pixels, packets, at, kind, d, outputs, counts)
+    else:
+        _hand_on(packets, at, leave, outputs, counts)
+
+
+@part
+def _step_shadow(cell, space, frame, surfaces, pixels, packets, at, port, outputs, counts):
+    """A shadow ray: forgotten at the first surface, a return packet where it reaches its light."""
+    origin = (read_u24(packets, at + 5), read_u24(packets, at + 8), read_u24(packets, at + 11))
+    if not is_walking(cell, origin, port):
+        onward = towards_start(cell, origin)
+        if onward != NO_PORT:
+            _hand_on(packets, at, onward, outputs, counts)
+            return
+    o = place(origin, space.step)
+    d, distance = light_direction(frame.lights, read_u16(packets, at + 14), o)
+    inv = (inverse(d[0]), inverse(d[1]), inverse(d[2]))
+    t_in, t_out, leave = passage(cell, origin, o, inv)
+    counts[WALKS] += 1
+    upper = min(t_out, distance)
+    if len(surfaces.floats) > 0 and blocked(surfaces, outputs.stack, o, d, inv, max(t_in, T_MIN), upper, counts):
+        counts[DIED + SHADOW] += 1
+    elif distance <= t_out or leaves_array(cell.index, space.shape, leave):
+        counts[DIED + SHADOW] += 1
+        red = unpack_shadow_weight(read_u24(packets, at + 16))
+        green = unpack_shadow_weight(read_u24(packets, at + 19))
+        blue = unpack_shadow_weight(read_u24(packets, at + 22))
+        sample, depth = read_u32(packets, at + 1), np.int64(packets[at]) >> 3
+        _give_back(cell, space, frame, pixels, sample, depth, red, green, blue, outputs, counts)
+    else:
+        _hand_on(packets, at, leave, outputs, counts)
+
+
+@part
+def _step_return(cell, frame, pixels, packets, at, outputs, counts):
+    """A return packet: kept at its home, else handed on towards it."""
+    home = (read_u16(packets, at + 17), read_u16(packets, at + 19), read_u16(packets, at + 21))
+    port = towards_cell(cell.index, home)
+    if port == NO_PORT:
+        _keep(frame, pixels, read_u32(packets, at + 1), get_intensity(packets, at), counts)
+    else:
+        _hand_on(packets, at, port, outputs, counts)
+
+
+@part
+def towards_corner(cell, space):
+    """The output on the way to the nearest corner; HOST at the corner."""
+    target = (
+        0 if 2 * cell.index[0] <= space.shape[0] - 1 else space.shape[0] - 1,
+        0 if 2 * cell.index[1] <= space.shape[1] - 1 else space.shape[1] - 1,
+        0 if 2 * cell.index[2] <= space.shape[2] - 1 else space.shape[2] - 1,
+    )
+    port = towards_cell(cell.index, target)
+    return HOST if port == NO_PORT else port
+
+
+@part
+def step_one(cell, space, frame, surfaces, pixels, packets, at, port, outputs, counts):
+    """The ray step of one packet."""
+    kind = np.int64(packets[at]) & 7
+    if kind == SHADOW:
+        _step_shadow(cell, space, frame, surfaces, pixels, packets, at, port, outputs, counts)
+    elif kind == RETURN:
+        _step_return(cell, frame, pixels, packets, at, outputs, counts)
+    elif kind == PIXEL:
+        output = towards_corner(cell, space)
+        if output == HOST:
+            counts[DIED + PIXEL] += 1
+        _hand_on(packets, at, output, outputs, counts)
+    else:
+        _step_ray(cell, space, frame, surfaces, pixels, packets, at, port, kind, outputs, counts)
+
+
+@part
+def fullest(held):
+    """Packets held by the fullest output."""
+    most = np.int64(0)
+    for k in range(len(held)):
+        most = max(most, held[k])
+    return most
+
+
+@kernel
+def step(cell, space, frame, surfaces, pixels, packets, ports, first, last, outputs, counts):
+    """Process packets first..last-1 of `packets` (uint8, 25 bytes each) that came by `ports` (uint8).
+
+    Stops early when an output might overflow, and returns the number of the first packet not processed.
+    A packet gives at most one packet a light, a reflected and a refracted ray.
+    """
+    room = (outputs.data.shape[1] - HEAD) // SIZE - (frame.n_lights + 2)
+    k = first
+    while k < last and fullest(outputs.held) <= room:
+        step_one(cell, space, frame, surfaces, pixels, packets, k * SIZE, np.int64(ports[k]), outputs, counts)
+        k += 1
+    return k
+
