@@ -3,8 +3,8 @@
 Axes: OBJ and PLY files have y up, STL files z up. Coordinates stay as they are; the invented camera knows.
 
 Shading: triangles are SMOOTH if the file has normals of vertices and flat if it has none. Nothing is smoothed by the
-angle between faces: which edges are meant to be sharp the file does not say. STL's normals are those of its faces, which
-their corners give anyway, and are not used.
+angle between faces: which edges are meant to be sharp the file does not say. STL's normals are those of its faces,
+which their corners give anyway, and are not used.
 
 Files are checked for being whole before trimesh reads them: it returns what it can of a file that was cut, or nothing.
 """
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import io
 import logging
+import re
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from raygrid.host.textures import bake
 from raygrid.node.errors import SceneError
 from raygrid.node.surfaces import F64, Kind
 
+NORMALS = re.compile(rb"property\s+\w+\s+nx\s")
 STL_HEADER, STL_FACET = 84, 50  # bytes of a binary STL
 
 
@@ -61,19 +63,21 @@ def _load_by_trimesh(path: Path, data: bytes, kind: str) -> Scene:
     except Exception as error:  # damaged files raise nearly anything in there
         raise SceneError(f"{path}: the {kind.upper()} file cannot be read ({shown(str(error))})") from None
     builder = SceneBuilder(str(path))
+    # Asked for normals that the file has not, trimesh makes some up: look for the property itself.
+    smooth = kind == "ply" and NORMALS.search(data.partition(b"end_header")[0]) is not None
     for mesh in geometry:
         if len(getattr(mesh, "faces", ())):
-            _add_mesh(builder, mesh)
+            _add_mesh(builder, mesh, smooth)
     return finish_scene(builder, path, up=Z_UP if kind == "stl" else Y_UP, highlights=True)
 
 
-def _add_mesh(builder: SceneBuilder, mesh: Any) -> None:
+def _add_mesh(builder: SceneBuilder, mesh: Any, smooth: bool) -> None:
     faces = np.asarray(mesh.faces, np.int64)
     points: F64 = np.asarray(mesh.vertices, np.float64)
     if faces.min() < 0 or faces.max() >= len(points):
         wanted = f"numbers from 0 to {len(points) - 1}"
         raise SceneError(f"{builder.where}: a face has the vertex {int(faces.max())}, wanted {wanted}")
-    rows, index = GREY, 0
+    rows, index = GREY, np.zeros(len(faces), np.int64)
     if mesh.visual.kind == "face":
         rows, index = bake(_white(), np.asarray(mesh.visual.face_colors)[:, :3])
     elif mesh.visual.kind == "vertex":
@@ -81,7 +85,7 @@ def _add_mesh(builder: SceneBuilder, mesh: Any) -> None:
         rows, index = bake(_white(), np.round(colours.mean(axis=1)).astype(np.uint8))
     materials = builder.add_materials(rows, baked=rows is not GREY) + index
     data = points[faces].reshape(-1, 9)
-    if "vertex_normals" in mesh._cache.cache:  # the file's; asking for the property would make some up
+    if smooth:
         normals = np.asarray(mesh.vertex_normals, np.float64)[faces].reshape(-1, 9)
         builder.add(Kind.SMOOTH, np.concatenate((data, normals), axis=1), materials)
     else:

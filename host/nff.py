@@ -157,7 +157,10 @@ def _polygon_values(words: Words, entities: Ints) -> list[tuple[Mask, str]]:
 def _fill_values(words: Words, entities: Ints) -> list[tuple[Mask, str]]:
     data = words.columns(entities, 8)
     return [
-        ((data[:, :7] < 0.0).any(1), "a fill's colours, weights and shine must not be below 0"),
+        (
+            np.asarray(data[:, :7].min(axis=1, initial=0.0) < 0.0),
+            "a fill's colours, weights and shine must not be below 0",
+        ),
         (
             (data[:, 6] > 0.0) & (data[:, 7] <= 0.0),
             "a transparent fill's index of refraction must be above 0",

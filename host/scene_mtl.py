@@ -34,7 +34,7 @@ def read_mtl(path: Path, remarks: list[str]) -> dict[bytes, Mtl]:
     name, values, picture = b"", dict[bytes, F64](), None
     lines = read_bytes(path).replace(b"\r", b"\n").split(b"\n")
     for line in [*lines, b"newmtl"]:
-        key, *rest = line.split(b"#")[0].split()
+        key, *rest = line.split(b"#")[0].split() or (b"",)
         if key == b"newmtl":
             if name:
                 found[name] = Mtl(mtl_material(values), _texture(path, picture, remarks))

@@ -1,8 +1,8 @@
 """Wavefront OBJ and MTL.
 
-Read here and not by trimesh, whose reader (5.2) fits poorly: it drops incomplete lines in silence where a cut file should
-be an error with a line number, counts relative indices from the end of the file, cuts concave faces into overlapping
-triangles, and gives the faces back in another order.
+Read here and not by trimesh, whose reader (5.2) fits poorly: it drops incomplete lines in silence where a cut file
+should be an error with a line number, counts relative indices from the end of the file, cuts concave faces into
+overlapping triangles, and gives the faces back in another order.
 
 Used of OBJ: v (with colours), vt, vn, f, usemtl, mtllib; everything else is skipped. Faces of any size become
 triangles, SMOOTH if all their corners have normals, else flat.
@@ -26,6 +26,7 @@ from raygrid.host.textures import Bytes, as_bytes, bake
 from raygrid.node.errors import SceneError
 from raygrid.node.surfaces import F64, Kind
 
+NO_CORNER = (-(2**40), 0, 0)  # further from the end than any file is long
 COMMENT = re.compile(rb"#[^\n]*")
 
 
@@ -75,7 +76,7 @@ class ObjReader:
         current = 0
         # A line ended by a backslash goes on in the next one; the numbers of the lines after it are then too small.
         for number, line in enumerate(text.replace(b"\\\n", b" ").split(b"\n"), 1):
-            key, *rest = line.split(None, 1)[:2] or (b"",)
+            key, *rest = line.split(None, 1) or (b"",)
             after = rest[0] if rest else b""
             kept = self._lines.get(key)
             if kept is not None:
@@ -149,13 +150,13 @@ class ObjReader:
         return corners - 1, starts
 
     def _corner(self, word: bytes) -> tuple[int, int, int]:
-        """The numbers of `v`, `v/vt`, `v//vn` or `v/vt/vn`; 0 where there is none, -2**40 for what is no number."""
+        """The numbers of `v`, `v/vt`, `v//vn` or `v/vt/vn`; 0 where there is none, NO_CORNER for what is no number."""
         parts = word.split(b"/")
         try:
             v, vt, vn = (*(int(part) if part else 0 for part in parts), 0, 0)[:3]
         except ValueError:
-            return (-(2**40), 0, 0)
-        return (v, vt, vn) if len(parts) <= 3 else (-(2**40), 0, 0)
+            return NO_CORNER
+        return (v, vt, vn) if len(parts) <= 3 and max(map(abs, (v, vt, vn))) < 2**40 else NO_CORNER
 
     def _materials(self, builder: SceneBuilder, used: Ints, names: Ints, colours: Bytes | None) -> Ints:
         """The material of every triangle. names: (t,), numbers of `material_names`."""
@@ -171,7 +172,7 @@ class ObjReader:
                 missing.append(name.decode("utf-8", "replace"))
             row = GREY if mtl is None else mtl.row
             tints = self._tints(mtl, used[mine], colours)
-            rows, index = (row, 0) if tints is None else bake(row, tints)
+            rows, index = (row, np.zeros(1, np.int64)) if tints is None else bake(row, tints)
             numbers[mine] = builder.add_materials(rows, baked=tints is not None) + index
         if missing and library:
             builder.remarks.append(f"grey used for unknown materials: {', '.join(missing[:5])}")
@@ -184,7 +185,7 @@ class ObjReader:
             uv = table[used[..., 1]].mean(axis=1)
             return mtl.texture.at(np.stack((uv[:, 0], 1.0 - uv[:, 1]), axis=1))  # OBJ has (0, 0) at the lower left
         if mtl is None and colours is not None:
-            return np.round(colours[used[..., 0]].mean(axis=1)).astype(np.uint8)
+            return np.asarray(np.round(colours[used[..., 0]].mean(axis=1)), np.uint8)
         return None
 
     def _library(self, builder: SceneBuilder) -> dict[bytes, Mtl]:

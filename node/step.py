@@ -215,10 +215,12 @@ def _shade(cell, space, frame, surfaces, packets, at, kind, o, d, t, item, u, v,
         entering = d[0] * g[0] + d[1] * g[1] + d[2] * g[2] < 0.0
         ratio = 1.0 / m[material, IOR] if entering else m[material, IOR]
         passes, direction = refract(d, n, cosine, ratio)
-        if not passes:
-            direction, kt = mirror, (1.0, 1.0, 1.0)
-        refracted = (weight[0] * kt[0], weight[1] * kt[1], weight[2] * kt[2])
-        _bear_ray(cell, space, frame, REFRACTED, depth + 1, sample, p, g, direction, refracted, outputs, counts)
+        if passes:
+            weight = (weight[0] * kt[0], weight[1] * kt[1], weight[2] * kt[2])
+        else:  # total internal reflection: a reflected ray in its place, with the whole weight
+            direction = mirror
+        born = REFRACTED if passes else REFLECTED
+        _bear_ray(cell, space, frame, born, depth + 1, sample, p, g, direction, weight, outputs, counts)
 
 
 @part

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -57,7 +57,7 @@ class OracleScene:
     background: Triple
     max_depth: int = 5
     min_weight: float = 0.0
-    epsilon: float = field(default=0.0)  # 0: from the scene's extent
+    epsilon: float = 0.0  # 0: from the scene's extent
 
     def world(self) -> World:
         epsilon = self.epsilon if self.epsilon > 0.0 else EPSILON_PER_EXTENT * extent(self.surfaces)
