@@ -11,9 +11,8 @@ p n, n points                              TRIANGLE, or POLYGON, which may be co
 pp n, n points with normals                SMOOTH; with more than three vertices, cut into triangles
 =========================================  ==================================================================
 
-A polygon that is not planar is cut into triangles along its own vertices and the fact remarked: refusing it would lose
-scenes that other programs show, and keeping it would lose hits beside its plane. What has no area is dropped with a
-remark; a sphere or cone without size is an error, since no program writes one on purpose.
+A polygon that is not planar is cut into triangles along its own vertices, with a remark. What has no area is dropped
+with a remark; a sphere or cone without size is an error, since no program writes one on purpose.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from raygrid.host.scene import Scene
 from raygrid.host.scene_builder import SceneBuilder, colour, material, plural, read_bytes
 from raygrid.host.scene_lights import Table, light_table, point_light
 from raygrid.host.scene_nff_words import GRAMMAR, NAMES, Words
-from raygrid.host.scene_polygons import Ints, planar_polygons, triangulate
+from raygrid.host.scene_polygons import Ints, triangulate
 from raygrid.node.errors import SceneError
 from raygrid.node.frame import MATERIAL
 from raygrid.node.surfaces import F64, Kind
@@ -277,23 +276,8 @@ def _fills(data: F64) -> Table:
 
 def _add_polygons(words: Words, builder: SceneBuilder, materials: Ints) -> None:
     entities = words.of("p")
-    sizes = words.columns(entities, 1)[:, 0].astype(np.int64)
-    triangles, others = entities[sizes == 3], entities[sizes != 3]
-    builder.add(Kind.TRIANGLE, words.columns(triangles, 9, 1), materials[triangles], triangles)
-    if not len(others):
-        return
-    sizes = sizes[sizes != 3]
-    points, starts = words.rows(others, sizes, 3)
-    planar = planar_polygons(points, starts)
-    inside = np.repeat(planar, sizes)
-    builder.add_polygons(points[inside], _starts(sizes[planar]), materials[others[planar]], others[planar])
-    if not planar.all():
-        bent, bent_points = others[~planar], points[~inside]
-        corners, owner, crossing = triangulate(bent_points, _starts(sizes[~planar]))
-        owner = bent[owner]
-        builder.add(Kind.TRIANGLE, bent_points[corners].reshape(-1, 9), materials[owner], owner)
-        builder.remarks.append(f"{plural(len(bent), 'polygon')} cut into triangles, being not planar")
-        _remark_crossing(builder, crossing)
+    points, starts = words.rows(entities, words.columns(entities, 1)[:, 0].astype(np.int64), 3)
+    builder.add_polygons(points, starts, materials[entities], entities)
 
 
 def _add_smooth_polygons(words: Words, builder: SceneBuilder, materials: Ints) -> None:
@@ -305,13 +289,4 @@ def _add_smooth_polygons(words: Words, builder: SceneBuilder, materials: Ints) -
     owner = entities[owner]
     data = np.concatenate((rows[corners, :3].reshape(-1, 9), rows[corners, 3:].reshape(-1, 9)), axis=1)
     builder.add(Kind.SMOOTH, data, materials[owner], owner)
-    _remark_crossing(builder, crossing)
-
-
-def _remark_crossing(builder: SceneBuilder, crossing: int) -> None:
-    if crossing:
-        builder.remarks.append(f"{plural(crossing, 'polygon')} cut into triangles by guess, crossing its own edges")
-
-
-def _starts(sizes: Ints) -> Ints:
-    return np.concatenate(([0], np.cumsum(sizes))).astype(np.int64)
+    builder.remark_crossing(crossing)

@@ -8,7 +8,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from raygrid.host.scene_polygons import Ints, flat_polygons, flat_triangles
+from raygrid.host.scene_polygons import (
+    Ints,
+    flat_polygons,
+    flat_triangles,
+    planar_polygons,
+    select_polygons,
+    triangulate,
+)
 from raygrid.node.errors import SceneError
 from raygrid.node.frame import MATERIAL
 from raygrid.node.surfaces import F64, MAX_MATERIALS, MAX_SURFACES, STRIDE, Batch, Kind, SurfaceSet, merge
@@ -71,7 +78,9 @@ class SceneBuilder:
     def add_materials(self, rows: Table, baked: bool = False) -> int:
         """Take materials, MATERIAL (m,); returns the number of the first. `baked`: from a texture's colours, so that
         they may be rounded if there are too many."""
-        first = sum(len(rows) for rows in self._materials)
+        if not all(np.isfinite(rows[name]).all() and (rows[name] >= 0.0).all() for name in MATERIAL.names or ()):
+            raise SceneError(f"{self.where}: a material has a number that is not finite or below 0")
+        first = sum(len(part) for part in self._materials)
         self._materials.append(rows)
         self._baked.append(baked)
         return first
@@ -89,20 +98,43 @@ class SceneBuilder:
         self._take(kind, data, materials, order, len(data), np.zeros(0, np.int64))
 
     def add_polygons(self, points: F64, starts: Ints, materials: ArrayLike, order: Ints | None = None) -> None:
-        """Take planar polygons: points (p, 3), starts (n + 1,) as in a Batch, materials (n,) or one for all."""
-        flat = flat_polygons(self._checked(points), starts)
-        if flat.any():
-            self._dropped["polygon"] += int(np.count_nonzero(flat))
-            sizes = np.diff(starts)
-            points = points[np.repeat(~flat, sizes)]
-            starts = np.concatenate(([0], np.cumsum(sizes[~flat]))).astype(np.int64)
-            materials = np.broadcast_to(materials, flat.shape)[~flat]
-            order = None if order is None else order[~flat]
-        self._take(Kind.POLYGON, points, materials, order, len(starts) - 1, starts)
+        """Take polygons: points (p, 3), starts (n + 1,) as in a Batch, materials (n,) or one number for all.
+
+        Triangles become TRIANGLE. What is not planar is cut into triangles along its own vertices and remarked:
+        refusing it would lose scenes that other programs show, keeping it would lose hits beside its plane.
+        """
+        self._checked(points)
+        sizes = np.diff(starts)
+        every = np.broadcast_to(materials, sizes.shape)
+        order = np.arange(self.next_order, self.next_order + len(sizes)) if order is None else order
+        three, flat = sizes == 3, flat_polygons(points, starts)
+        planar = planar_polygons(points, starts)
+        kept, bent = ~three & ~flat & planar, ~three & ~flat & ~planar
+        self._dropped["polygon"] += int(np.count_nonzero(flat & ~three))
+        corners = points[np.repeat(three, sizes)].reshape(-1, 9)
+        self.add(Kind.TRIANGLE, corners, every[three], order[three])
+        chosen, begins = select_polygons(points, starts, kept)
+        self._take(Kind.POLYGON, chosen, every[kept], order[kept], len(begins) - 1, begins)
+        if bent.any():
+            chosen, begins = select_polygons(points, starts, bent)
+            rows, owner, crossing = triangulate(chosen, begins)
+            self.add(Kind.TRIANGLE, chosen[rows].reshape(-1, 9), every[bent][owner], order[bent][owner])
+            self.remarks.append(f"{plural(len(begins) - 1, 'polygon')} cut into triangles, being not planar")
+            self.remark_crossing(crossing)
+
+    def remark_crossing(self, crossing: int) -> None:
+        """Say how many polygons could be cut into triangles only by guess."""
+        if crossing:
+            self.remarks.append(f"{plural(crossing, 'polygon')} cut into triangles by guess, crossing its own edges")
+
+    @property
+    def next_order(self) -> int:
+        """An order number after all that were used."""
+        return self._next
 
     def finish(self) -> tuple[SurfaceSet, Table, tuple[str, ...]]:
         """Surfaces, materials and remarks. Raises SceneError without surfaces, or with too many of anything."""
-        self.remarks += [f"{plural(n, noun)} without area dropped" for noun, n in self._dropped.items() if n]
+        remarks = [f"{plural(n, noun)} without area dropped" for noun, n in self._dropped.items() if n]
         order = np.concatenate([batch[3] for batch in self._batches] or [np.zeros(0, np.int64)])
         if not len(order):
             dropped = sum(self._dropped.values())
@@ -112,13 +144,13 @@ class SceneBuilder:
             raise SceneError(f"{self.where}: the file has {len(order)} surfaces, wanted at most {MAX_SURFACES}")
         ids = np.empty(len(order), np.uint32)
         ids[np.argsort(order, kind="stable")] = np.arange(len(order), dtype=np.uint32)
-        table, share = self._shared_materials()
+        table, share = self._shared_materials(remarks)
         made, begin = [], 0
         for kind, data, materials, _, starts in self._batches:
             end = begin + (len(starts) - 1 if kind == Kind.POLYGON else len(data))
             made.append(Batch(kind, ids[begin:end], share[materials].astype(np.uint16), data, starts))
             begin = end
-        return SurfaceSet(tuple(_in_order(batch) for batch in merge(made))), table, tuple(self.remarks)
+        return SurfaceSet(tuple(_in_order(batch) for batch in merge(made))), table, (*self.remarks, *remarks)
 
     def _take(self, kind: Kind, data: F64, materials: ArrayLike, order: Ints | None, n: int, starts: Ints) -> None:
         if order is None:
@@ -135,7 +167,7 @@ class SceneBuilder:
             raise SceneError(f"{self.where}: a surface has the number {np.abs(data).max():g}, wanted at most 1e30")
         return data
 
-    def _shared_materials(self) -> tuple[Table, Ints]:
+    def _shared_materials(self, remarks: list[str]) -> tuple[Table, Ints]:
         """The distinct materials that are used, and for each number given out by `add_materials` its row."""
         rows = np.concatenate(self._materials)
         baked = np.repeat(self._baked, [len(part) for part in self._materials])
@@ -147,7 +179,7 @@ class SceneBuilder:
         while len(table) > MAX_MATERIALS and levels >= 2 and baked.any():
             rows["diffuse"][baked] = _rounded(rows["diffuse"][baked], levels)
             table, share = _distinct(rows, used)
-            self.remarks.append(f"too many colours in textures: rounded to {levels} levels of each primary")
+            remarks.append(f"too many colours in textures: rounded to {levels} levels of each primary")
             levels //= 2
         if len(table) > MAX_MATERIALS:
             raise SceneError(f"{self.where}: the file has {len(table)} materials, wanted at most {MAX_MATERIALS}")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from raygrid.host.cameras import Camera
@@ -39,7 +41,7 @@ def spot_light(
     """A point light that shines along `axis` only: fully within `inner` radians of it, not at all outside `outer`."""
     row = point_light(position, intensity, falloff)
     row["spot"], row["axis"] = 1, _unit(axis)
-    row["cos_inner"], row["cos_outer"] = np.cos(inner), np.cos(outer)
+    row["cos_inner"], row["cos_outer"] = math.cos(inner), math.cos(outer)
     return row
 
 
@@ -53,7 +55,7 @@ def directional_light(
     row = point_light((0.0, 0.0, 0.0), intensity)
     row["kind"], row["place"] = DIRECTIONAL, _unit(towards)
     if disc_radius is not None:
-        row["cos_disc"], row["disc"] = np.cos(disc_radius), disc
+        row["cos_disc"], row["disc"] = math.cos(disc_radius), disc
     return row
 
 
@@ -102,4 +104,7 @@ def exposed(lights: Table, point: F64, closest: float) -> Table:
 
 def _unit(vector: ArrayLike) -> F64:
     v = np.asarray(vector, np.float64)
-    return np.asarray(v / np.linalg.norm(v))
+    length = float(np.linalg.norm(v))
+    if not (math.isfinite(length) and length > 0.0):
+        raise ValueError(f"a light's direction is {v.tolist()}, wanted one with a length")
+    return np.asarray(v / length)

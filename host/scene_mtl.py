@@ -13,8 +13,8 @@ from raygrid.node.surfaces import F64
 
 GREY = material(diffuse=0.8)  # of meshes that name no material
 
-# How many numbers each statement has; everything else is skipped.
-STATEMENTS = {b"Kd": 3, b"Ks": 3, b"Tf": 3, b"Ns": 1, b"Ni": 1, b"d": 1, b"Tr": 1, b"illum": 1}
+# How many numbers each statement has, in lower case, as some programs write it; everything else is skipped.
+STATEMENTS = {b"kd": 3, b"ks": 3, b"tf": 3, b"ns": 1, b"ni": 1, b"d": 1, b"tr": 1, b"illum": 1}
 SPECTRUM = (b"spectral", b"xyz")  # other ways to give a colour, which nobody writes
 FIRST_MIRROR = 3  # the least `illum` with a reflected ray
 GLASS = (4, 6, 7, 9)  # those with transparency
@@ -35,11 +35,12 @@ def read_mtl(path: Path, remarks: list[str]) -> dict[bytes, Mtl]:
     lines = read_bytes(path).replace(b"\r", b"\n").split(b"\n")
     for line in [*lines, b"newmtl"]:
         key, *rest = line.split(b"#")[0].split() or (b"",)
+        key = key.lower()
         if key == b"newmtl":
             if name:
                 found[name] = Mtl(mtl_material(values), _texture(path, picture, remarks))
             name, values, picture = b" ".join(rest), {}, None
-        elif key == b"map_Kd" and rest:
+        elif key == b"map_kd" and rest:
             picture = rest
         elif key in STATEMENTS and rest and rest[0] not in SPECTRUM:
             values[key] = _numbers(path, key, [word for word in rest if word != b"-halo"])
@@ -47,10 +48,10 @@ def read_mtl(path: Path, remarks: list[str]) -> dict[bytes, Mtl]:
 
 
 def mtl_material(values: dict[bytes, F64]) -> Table:
-    """The material of MTL's statements, each an array of its numbers.
+    """The material of MTL's statements (keys in lower case), each an array of its numbers.
 
     diffuse       Kd, less what is reflected (illum 3 and above) and what passes (d below 1)
-    highlight     Ks with exponent Ns, from illum 2 on
+    highlight     Ks with exponent Ns, from illum 2 on; none if Ns is 0, as it would be everywhere
     specular      Ks, from illum 3 on
     transmission  1 - d; for the glass of illum 4, 6, 7, 9 with d = 1 the filter Tf if there is one; refracted by Ni
 
@@ -58,18 +59,19 @@ def mtl_material(values: dict[bytes, F64]) -> Table:
     """
     illum = int(values.get(b"illum", np.array([2.0]))[0])
     black, white = np.zeros(3), np.ones(3)
-    kd = values.get(b"Kd", np.full(3, 0.8))
-    ks = values.get(b"Ks", black) if illum >= 2 else black
+    kd = values.get(b"kd", np.full(3, 0.8))
+    ks = values.get(b"ks", black) if illum >= 2 else black
     mirror = ks if illum >= FIRST_MIRROR else black
-    opaque = float(values[b"d"][0]) if b"d" in values else 1.0 - float(values.get(b"Tr", black)[0])
+    opaque = float(values[b"d"][0]) if b"d" in values else 1.0 - float(values.get(b"tr", black)[0])
     clear = (1.0 - min(max(opaque, 0.0), 1.0)) * white
-    if illum in GLASS and opaque >= 1.0 and b"Tf" in values:
-        clear = values[b"Tf"]
-    ior = float(values.get(b"Ni", white)[0])
+    if illum in GLASS and opaque >= 1.0 and b"tf" in values:
+        clear = values[b"tf"]
+    shine = float(values.get(b"ns", black)[0])
+    ior = float(values.get(b"ni", white)[0])
     return material(
         diffuse=np.maximum(kd * (1.0 - mirror) * (1.0 - clear), 0.0),
-        highlight=ks,
-        shine=float(values.get(b"Ns", black)[0]),
+        highlight=ks if shine > 0.0 else black,
+        shine=shine,
         specular=mirror,
         transmission=clear,
         ior=ior if ior > 0.0 else 1.0,

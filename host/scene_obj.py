@@ -19,7 +19,7 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from raygrid.host.scene_builder import SceneBuilder, plural, read_bytes, shown
+from raygrid.host.scene_builder import MAX_COORDINATE, SceneBuilder, plural, read_bytes, shown
 from raygrid.host.scene_mtl import GREY, Mtl, read_mtl
 from raygrid.host.scene_polygons import Ints, triangulate
 from raygrid.host.textures import Bytes, as_bytes, bake
@@ -57,8 +57,7 @@ class ObjReader:
         points, colours = self._points()
         corners, starts = self._corners(len(points))
         rows, owner, crossing = triangulate(points[corners[:, 0]], starts)
-        if crossing:
-            builder.remarks.append(f"{plural(crossing, 'face')} cut into triangles by guess, crossing its own edges")
+        builder.remark_crossing(crossing)
         used = corners[rows]  # (t, 3, 3): triangle, corner, indices into v, vt, vn
         data = points[used[..., 0]].reshape(-1, 9)
         materials = self._materials(builder, used, np.array(self._face_materials, np.int64)[owner], colours)
@@ -100,11 +99,10 @@ class ObjReader:
                 came = f"came {key.decode()} with {plural(len(row), 'number')}"
                 raise self._error(lines.numbers[k], f"{came}, wanted {width}")
         numbers = self._floats(chain.from_iterable(rows), len(rows) * width)
-        if numbers is None or not np.isfinite(numbers).all():
-            k = next(
-                k for k, row in enumerate(rows) if (n := self._floats(row, width)) is None or not np.isfinite(n).all()
-            )
-            raise self._error(lines.numbers[k], f"came {shown(lines.rest[k].decode('latin-1'))}, wanted finite numbers")
+        if numbers is None or not _fit(numbers):
+            k = next(k for k, row in enumerate(rows) if not _fit(self._floats(row, width)))
+            came = shown(lines.rest[k].decode("latin-1").strip())
+            raise self._error(lines.numbers[k], f"came {came}, wanted finite numbers of at most 1e30")
         return numbers.reshape(-1, width)
 
     def _floats(self, words: Iterable[bytes], count: int) -> F64 | None:
@@ -182,8 +180,8 @@ class ObjReader:
         """Colours of triangles by texture, else by their vertices, else None."""
         if mtl is not None and mtl.texture is not None and self._lines[b"vt"].rest:
             table = np.concatenate((self._table(b"vt", 2), ((0.0, 0.0),)))  # -1, no coordinate, takes the last row
-            uv = table[used[..., 1]].mean(axis=1)
-            return mtl.texture.at(np.stack((uv[:, 0], 1.0 - uv[:, 1]), axis=1))  # OBJ has (0, 0) at the lower left
+            u, v = np.moveaxis(table[used[..., 1]], 2, 0)
+            return mtl.texture.under(np.stack((u, 1.0 - v), axis=2))  # OBJ has (0, 0) at the lower left
         if mtl is None and colours is not None:
             return np.asarray(np.round(colours[used[..., 0]].mean(axis=1)), np.uint8)
         return None
@@ -204,3 +202,7 @@ class ObjReader:
 
     def _error(self, line: int, message: str) -> SceneError:
         return SceneError(f"{self.path}, line {line}: {message}")
+
+
+def _fit(numbers: F64 | None) -> bool:
+    return numbers is not None and bool((np.abs(numbers) <= MAX_COORDINATE).all())

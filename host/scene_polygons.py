@@ -64,6 +64,12 @@ def planar_polygons(points: F64, starts: Ints) -> Mask:
     return np.asarray(np.maximum.reduceat(heights, starts[:-1]) <= allowed)
 
 
+def select_polygons(points: F64, starts: Ints, chosen: Mask) -> tuple[F64, Ints]:
+    """The points and starts of the chosen polygons."""
+    sizes = np.diff(starts)
+    return points[np.repeat(chosen, sizes)], np.concatenate(([0], np.cumsum(sizes[chosen]))).astype(np.int64)
+
+
 def convex_polygons(points: F64, starts: Ints) -> Mask:
     """Which of the polygons are convex, seen along their normals, (n,); every triangle is."""
     if len(starts) < 2:

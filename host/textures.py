@@ -39,8 +39,13 @@ class Texture:
     wrap_u: Wrap = Wrap.REPEAT
     wrap_v: Wrap = Wrap.REPEAT
 
-    def at(self, uv: F64) -> Bytes:
-        """The nearest texels, (n, 3); uv (n, 2), (0, 0) the upper left corner, (1, 1) the lower right."""
+    def under(self, corners: F64) -> Bytes:
+        """The texels under the middles of triangles, (n, 3).
+
+        corners: (n, 3, 2), (0, 0) being the upper left corner of the picture and (1, 1) the lower right.
+        """
+        # Coordinates that are no numbers (files have them) take the first texel.
+        uv = np.clip(np.nan_to_num(corners), -1e9, 1e9).mean(axis=1)
         height, width = self.texels.shape[:2]
         column = _texel(uv[:, 0], width, self.wrap_u)
         row = _texel(uv[:, 1], height, self.wrap_v)
@@ -92,8 +97,7 @@ def as_bytes(colours: F64, is_linear: bool = False) -> Bytes:
 
 
 def _texel(coordinate: F64, size: int, wrap: Wrap) -> Ints:
-    # Coordinates that are no numbers (files have them) take the first texel.
-    texel = np.floor(np.nan_to_num(np.clip(coordinate, -1e9, 1e9)) * size).astype(np.int64)
+    texel = np.floor(coordinate * size).astype(np.int64)
     if wrap is Wrap.CLAMP:
         return np.asarray(np.clip(texel, 0, size - 1))
     if wrap is Wrap.REPEAT:

@@ -13,9 +13,11 @@ offset  PRIMARY REFLECTED REFRACTED  SHADOW                      RETURN         
 sample     pixel number times samples per pixel plus sample number; pixel number is row * width + column
 origin     lattice coordinates (`node.lattice`), one per axis
 direction  octahedral (Meyer et al. 2010): two numbers 0 .. 2^24 - 2, 2^23 - 1 stands for 0, so that rays
-           parallel to an axis are exact; 2^24 - 1 is refused
-weight     of a ray: three 11-bit mantissas (red lowest) under one 7-bit exponent E: m * 2^(E - 63 - 11)
-           of a shadow: three floats of 8 exponent and 16 mantissa bits (a binary32 without sign and low 7 bits)
+           parallel to an axis are exact; 2^24 - 1 is refused; off by less than 4.25 * 2^-24 radians
+weight     of a ray: three 11-bit mantissas (red lowest) under one 7-bit exponent E: m * 2^(E - 63 - 11),
+           each off by less than 1/2047 of the largest, if that lies in 2^-64 .. 2^64
+           of a shadow: three floats of 8 exponent and 16 mantissa bits (a binary32 without sign and low 7 bits),
+           each off by less than 1/130000 of itself, if it lies in 2^-126 .. 2^128
 intensity  binary32, finite and not negative
 home       cell of the sample's home, so that no node on the way has to work it out again
 sum        of fixed-point intensities (`node.pixels`); a pixel may come in several packets
@@ -64,6 +66,8 @@ WEIGHT_BIAS = 63
 # 2^(E - 63 - 11) for every stored exponent E, and its reciprocal for rounding
 WEIGHT_UNIT = np.ldexp(1.0, np.arange(128) - WEIGHT_BIAS - 11)
 WEIGHT_INVERSE_UNIT = np.ldexp(1.0, WEIGHT_BIAS + 11 - np.arange(128))
+TOO_LARGE_WEIGHT = 2.0**64
+LARGEST_BINARY32 = float(np.finfo(np.float32).max)
 LARGEST_SHADOW_WEIGHT = np.uint32(0x7F7FFF80)  # bits of the largest weight that 24 bits hold
 
 U8 = NDArray[np.uint8]
@@ -147,8 +151,8 @@ def pack_weight(red, green, blue):
     largest = max(red, green, blue)
     if not largest > 0.0:
         return np.int64(0)
-    exponent = math.frexp(largest)[1] + WEIGHT_BIAS  # largest = f * 2^e with 0.5 <= f < 1
-    exponent = min(max(exponent, 0), 127)
+    # largest = f * 2^e with 0.5 <= f < 1; an infinity has no e
+    exponent = max(math.frexp(largest)[1] + WEIGHT_BIAS, 0) if largest < TOO_LARGE_WEIGHT else 127
     if exponent < 127 and largest * WEIGHT_INVERSE_UNIT[exponent] + 0.5 >= 2048.0:
         exponent += 1
     unit = WEIGHT_INVERSE_UNIT[exponent]
@@ -170,7 +174,7 @@ def pack_shadow_weight(value):
     """A weight >= 0 as the upper 24 bits of its binary32 without the sign, rounded to nearest."""
     if not value > 0.0:
         return np.int64(0)
-    bits = np.int64(np.float32(min(value, 3.0e38)).view(np.uint32)) + 64
+    bits = np.int64(np.float32(min(value, LARGEST_BINARY32)).view(np.uint32)) + 64
     return min(bits, np.int64(LARGEST_SHADOW_WEIGHT)) >> 7
 
 
@@ -314,6 +318,26 @@ def first_fault(buffer, start, count, limits):
     return -1, 0
 
 
+# --- many pixel packets at once, for the host ---------------------------------------------------------
+
+_PIXEL_RECORD = np.dtype(
+    [("head", "u1"), ("pixel", "<u4"), ("sums", [("low", "<u4"), ("high", "<u2")], 3), ("samples", "<u2")]
+)
+assert _PIXEL_RECORD.itemsize == SIZE
+
+
+def read_pixels(message: bytes, start: int, pixels: int) -> tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.int64]]:
+    """(pixel numbers (n,), sums (n, 3), samples (n,)) of all pixel packets from byte `start` on.
+
+    Raises PacketError if one is of another kind or names a pixel at or above `pixels`.
+    """
+    records = np.frombuffer(message, _PIXEL_RECORD, offset=start)
+    if np.any(records["head"] != PIXEL) or np.any(records["pixel"] >= pixels):
+        raise PacketError(f"{len(records)} pixel packets came with another kind, or a pixel beyond {pixels}")
+    sums = records["sums"]["low"].astype(np.int64) | (records["sums"]["high"].astype(np.int64) << 32)
+    return records["pixel"].astype(np.intp), sums, records["samples"].astype(np.int64)
+
+
 # --- one packet at a time: tests, messages, traces -----------------------------------------------------
 
 
@@ -365,9 +389,9 @@ def decode(data: bytes) -> Packet:
 def describe(data: bytes) -> str:
     """One line for logs and error messages."""
     packet = decode(data)
-    parts = [f"{packet.kind.name.lower()} {'pixel' if packet.kind == PIXEL else 'sample'} {packet.number}"]
-    if packet.kind != PIXEL:
-        parts.append(f"depth {packet.depth}")
+    if packet.kind == PIXEL:
+        return "pixel {}, sum {} {} {}, samples {}".format(packet.number, *packet.values, packet.samples)
+    parts = [f"{packet.kind.name.lower()} sample {packet.number}, depth {packet.depth}"]
     if packet.origin is not None:
         parts.append("from {}".format(" ".join(map(str, packet.origin))))
     if packet.direction is not None:

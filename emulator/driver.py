@@ -1,0 +1,260 @@
+"""What the host says to an array through its corners: load, trace, collect, end. No processes, no sockets.
+
+The driver owns the host's end of the corner links and a `pump`, which waits for messages (real array) or
+runs the nodes (in-memory array) and then lets the driver receive.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raygrid.node.errors import ArrayError, ProtocolError, Stuck
+from raygrid.node.flood import corners
+from raygrid.node.lattice import Space
+from raygrid.node.link import Link, State
+from raygrid.node.messages import MessageKind, check_packets, pack_surfaces, read_order
+from raygrid.node.orders import frame_order, space_order
+from raygrid.node.packets import KINDS, PIXEL, PRIMARY, read_pixels
+from raygrid.node.processor import COLLECTING, HANDED_ON, HOMES_LEFT, RECEIVED, REFUSED, SUMS, WAITING
+from raygrid.node.step import HEAD
+from raygrid.node.surfaces import Batch, Kind, SurfaceSet
+from raygrid.node.tables import BORN, DIED, Frame
+
+CHUNK_BYTES = 1 << 16  # surfaces in a message
+BUDGET = 262_144  # packets in flight below which primaries are admitted
+PATIENCE = 30.0  # seconds without any progress after which the array is taken to hang
+HOLD = 0.02  # seconds for which a busy node may hold a wave, and a millisecond more for every node
+
+
+@dataclass(frozen=True)
+class Progress:
+    """State of a pass as the last wave found it. born, died: by packet kind."""
+
+    born: tuple[int, ...]
+    died: tuple[int, ...]
+    homes_left: int
+
+    @property
+    def in_flight(self) -> int:
+        """Packets born and not yet dead."""
+        return sum(self.born) - sum(self.died)
+
+    @property
+    def primaries(self) -> int:
+        """Samples admitted so far."""
+        return self.born[PRIMARY]
+
+
+class Driver:
+    """Drives one array. `links`: corner number -> the host's end of the link to that corner's node."""
+
+    def __init__(
+        self,
+        shape: tuple[int, int, int],
+        links: dict[int, Link],
+        pump: Callable[[float], None],
+        patience: float = PATIENCE,
+    ) -> None:
+        self.shape, self.links, self._pump, self.patience = shape, links, pump, patience
+        self.nodes = shape[0] * shape[1] * shape[2]
+        self._wave_number = 0
+        self._answer: dict[str, Any] | None = None
+        self._sums: NDArray[np.int64] | None = None
+        self._samples: NDArray[np.int64] | None = None
+        self._pixels_received = 0
+        self.waves = 0
+        self.most_in_flight = 0
+
+    # --- messages ------------------------------------------------------------------------------------
+
+    def receive(self, corner: int) -> None:
+        """Take in what the link to a corner has. Raises ProtocolError."""
+        link = self.links[corner]
+        while (arrival := link.receive()) is not None:
+            if arrival.kind == MessageKind.PACKETS:
+                check_packets(arrival.message, arrival.count)
+                self._take_pixels(arrival.message, arrival.count)
+                link.grant()
+            elif arrival.kind == MessageKind.UP and corner == 0:
+                self._answer = read_order(arrival.message)
+            else:
+                raise ProtocolError(f"link {link.name}: {arrival.kind.name} came, which a node never sends to the host")
+
+    def _take_pixels(self, message: bytes, count: int) -> None:
+        if self._sums is None or self._samples is None:
+            raise ProtocolError(f"{count} pixel packets came, but no frame is being collected")
+        pixels, sums, samples = read_pixels(message, HEAD, len(self._samples))
+        if np.all(np.diff(pixels) > 0):  # one home sends in ascending order: no pixel comes twice
+            self._sums[pixels] += sums
+            self._samples[pixels] += samples
+        else:
+            np.add.at(self._sums, pixels, sums)
+            np.add.at(self._samples, pixels, samples)
+        self._pixels_received += count
+
+    def wave(self, order: dict[str, Any]) -> dict[str, Any]:
+        """Send an order over the array and wait for the answer of all. Raises Stuck, ProtocolError, LostProcess."""
+        self._wave_number += 1
+        self.waves += 1
+        self._answer = None
+        self.links[0].send_order(MessageKind.DOWN, {**order, "wave": self._wave_number})
+        self._wait(lambda: self._answer is not None, f"the order {order['do']!r} came back")
+        answer: dict[str, Any] = self._answer  # type: ignore[assignment]
+        sums = answer.get("sums")
+        if answer.get("wave") != self._wave_number or not isinstance(sums, list) or len(sums) != SUMS:
+            raise ProtocolError(f"wave {self._wave_number} ({order['do']}) came back as another one")
+        if sums[REFUSED]:
+            raise ArrayError(f"{sums[REFUSED]} times a node refused what came: " + "; ".join(answer["refusals"]))
+        return answer
+
+    def _wait(self, done: Callable[[], bool], what: str) -> None:
+        """Pump until a condition holds. Raises Stuck after `patience` seconds without any message."""
+        since, seen = time.monotonic(), -1
+        while not done():
+            self._pump(0.25)
+            received = sum(link.received for link in self.links.values())
+            if received != seen:
+                since, seen = time.monotonic(), received
+            elif time.monotonic() - since > self.patience:
+                raise Stuck(f"nothing came from the array for {self.patience:g} seconds while waiting until {what}")
+
+    # --- loading -------------------------------------------------------------------------------------
+
+    def ready(self) -> None:
+        """Wait until every link of every node is up."""
+        self.wave({"do": "ready"})
+
+    def load(self, space: Space, surfaces: SurfaceSet) -> None:
+        """Deal surfaces (machine coordinates) over the corners, and wait until every node has built its tables."""
+        self.wave(space_order(space))
+        dealt = 0
+        for corner, batch in _deal(surfaces, corners(self.shape)):
+            link = self.links[corner]
+            link.send_data(MessageKind.SURFACES, len(batch), pack_surfaces(corner, batch))
+            dealt += len(batch)
+            if link.waiting > 4:
+                self._wait(lambda link=link: link.waiting <= 4, "a corner takes more surfaces")  # type: ignore[misc]
+        self._wait(lambda: all(link.waiting == 0 for link in self.links.values()), "the corners take all surfaces")
+        while True:
+            sums = self.wave({"do": "loaded"})["sums"]
+            if sums[RECEIVED] == dealt + sums[HANDED_ON]:
+                break
+        self.wave({"do": "build"})
+
+    # --- tracing -------------------------------------------------------------------------------------
+
+    def trace(
+        self, frame: Frame, budget: int = BUDGET, progress: Callable[[Progress], None] | None = None
+    ) -> Progress:
+        """Trace a pass to completion: two successive waves with equal sums, born = died, nothing left to admit."""
+        answer = self.wave(frame_order(frame))
+        hold = HOLD + 0.001 * self.nodes
+        before: Progress | None = None
+        moved = time.monotonic()
+        self.most_in_flight = 0
+        while True:
+            now = _progress(answer["sums"])
+            self.most_in_flight = max(self.most_in_flight, now.in_flight)
+            if progress is not None:
+                progress(now)
+            if now != before:
+                moved = time.monotonic()
+            elif now.homes_left == 0 and now.in_flight == 0:
+                return now
+            elif time.monotonic() - moved > self.patience:
+                raise Stuck(self._why_stuck(now))
+            before = now
+            quota = max(0, budget - now.in_flight) // max(now.homes_left, 1)
+            answer = self.wave({"do": "trace", "quota": quota, "hold": hold})
+
+    def _why_stuck(self, now: Progress) -> str:
+        waiting = [
+            f"{','.join(map(str, node['index']))} holds {node['waiting']}" for node in self.report() if node["waiting"]
+        ]
+        return (
+            f"no counter moved for {self.patience:g} seconds with {now.in_flight} packets in flight and "
+            f"{now.homes_left} homes with samples left; " + ("; ".join(waiting[:8]) or "no node holds a packet")
+        )
+
+    def collect(self, pixels: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """(sums (pixels, 3) in fixed point, samples (pixels,)) of the pass, from the homes by way of the corners."""
+        self._sums, self._samples = np.zeros((pixels, 3), np.int64), np.zeros(pixels, np.int64)
+        self._pixels_received = 0
+        order: dict[str, Any] = {"do": "collect"}
+        since = time.monotonic()
+        while True:
+            sums = self.wave({**order, "hold": HOLD + 0.001 * self.nodes})["sums"]
+            born, died = sums[BORN + PIXEL], sums[DIED + PIXEL]
+            if sums[COLLECTING] == 0 and sums[WAITING] == 0 and born == died:
+                break
+            if time.monotonic() - since > self.patience + pixels / 1e4:
+                raise Stuck(f"{born} pixel packets were born and {died} reached a corner")
+            order = {"do": "trace", "quota": 0}
+        self._wait(lambda: self._pixels_received >= born, "all pixel packets are here")
+        if self._pixels_received != born:
+            raise ArrayError(f"{self._pixels_received} pixel packets came, {born} were born")
+        result = self._sums, self._samples
+        self._sums = self._samples = None
+        return result
+
+    # --- other ---------------------------------------------------------------------------------------
+
+    def report(self) -> list[dict[str, Any]]:
+        """The record of every node (`node.processor.Processor.record`), in order of their places."""
+        return sorted(self.wave({"do": "report"})["nodes"], key=lambda node: node["index"][::-1])
+
+    def end(self) -> None:
+        """Tell every node to end, and close the corner links."""
+        self.wave({"do": "end"})
+        for link in self.links.values():
+            link.close()
+        self._wait(lambda: all(link.state == State.CLOSED for link in self.links.values()), "the corners say goodbye")
+
+
+def _progress(sums: list[int]) -> Progress:
+    return Progress(
+        tuple(sums[BORN : BORN + KINDS]),
+        tuple(sums[DIED : DIED + KINDS]),
+        sums[HOMES_LEFT],
+    )
+
+
+def _deal(surfaces: SurfaceSet, places: dict[int, tuple[int, int, int]]) -> Iterator[tuple[int, Batch]]:
+    """Each surface to the corner nearest to its middle, in messages of about CHUNK_BYTES, corners in turn."""
+    queues: dict[int, list[Batch]] = {corner: [] for corner in places}
+    several = [any(corner >> axis & 1 for corner in places) for axis in range(3)]
+    for batch in surfaces:
+        middles = batch.bounds().mean(axis=1)
+        corner_of = sum(((middles[:, axis] >= 0.0) & several[axis]).astype(np.int64) << axis for axis in range(3))
+        for corner in places:
+            rows = np.flatnonzero(corner_of == corner)
+            queues[corner].extend(_chunks(batch, rows))
+    while any(queues.values()):
+        for corner, queue in queues.items():
+            if queue:
+                yield corner, queue.pop(0)
+
+
+def _chunks(batch: Batch, rows: NDArray[np.intp]) -> Iterator[Batch]:
+    """Cut the chosen rows of a batch into messages."""
+    if batch.kind == Kind.POLYGON:
+        sizes = 10 + 24 * np.diff(batch.starts)[rows]
+    else:
+        sizes = np.full(len(rows), 6 + batch.data.shape[1] * batch.data.dtype.itemsize)
+    message = np.cumsum(sizes) // CHUNK_BYTES
+    for first, last in zip(*_runs(message), strict=True):
+        yield batch.select(rows[first:last])
+
+
+def _runs(values: NDArray[np.int64]) -> tuple[list[int], list[int]]:
+    """Begin and end of each run of equal values."""
+    if len(values) == 0:
+        return [], []
+    borders = (np.flatnonzero(np.diff(values)) + 1).tolist()
+    return [0, *borders], [*borders, len(values)]

@@ -1,0 +1,50 @@
+"""The array inside one process: the same processors and links over queues in memory. For tests and comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from raygrid.node.flood import corners
+from raygrid.node.link import Link
+from raygrid.node.main import open_links
+from raygrid.node.memory_pair import MemoryPair, memory_pair
+from raygrid.node.processor import Processor
+from raygrid.node.walk import HOST
+
+from .driver import Driver
+from .topology import host_links, indices, neighbour_links
+
+Order = Callable[[int], np.ndarray]
+
+
+class MemoryArray:
+    """Processors of an array, run in turn. `order(n)` may give another order of the n nodes for each round."""
+
+    def __init__(self, shape: tuple[int, int, int], batch: int = 1024, order: Order = np.arange) -> None:
+        channels: dict[tuple[int, int, int], dict[int, Any]] = {index: {} for index in indices(shape)}
+        for link in neighbour_links(shape):
+            channels[link.lower][link.lower_port], channels[link.upper][link.upper_port] = memory_pair()
+        host_ends: dict[int, MemoryPair] = {}
+        for corner, index in corners(shape).items():
+            channels[index][HOST], host_ends[corner] = memory_pair()
+        self._order = order
+        self.processors = []
+        for index in indices(shape):
+            config = {"index": list(index), "machine": "memory", "epoch": 0}
+            links = open_links(config, channels[index])
+            self.processors.append(Processor(index, shape, links, batch, clock=lambda: 0.0))
+        links_of_host: dict[int, Link] = host_links(shape, host_ends, "memory", 0)
+        self.driver = Driver(shape, links_of_host, self._pump)
+
+    def _pump(self, _seconds: float) -> None:
+        """One round: every node receives and works once, then the host receives."""
+        for number in self._order(len(self.processors)):
+            processor = self.processors[int(number)]
+            for port in processor.links:
+                processor.receive(port)
+            processor.work()
+        for corner in self.driver.links:
+            self.driver.receive(corner)

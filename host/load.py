@@ -1,0 +1,35 @@
+"""From a file to a scene, by the file's suffix."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+
+from raygrid.host.scene import Scene
+from raygrid.node.errors import SceneError
+
+# Suffix: module and function. Imported when needed: the readers of some formats bring in large libraries.
+READERS = {
+    ".nff": ("nff", "load_nff"),
+    ".obj": ("meshes", "load_obj"),
+    ".ply": ("meshes", "load_ply"),
+    ".stl": ("meshes", "load_stl"),
+    ".glb": ("gltf", "load_gltf"),
+    ".gltf": ("gltf", "load_gltf"),
+    ".toml": ("scenefile", "load_scenefile"),
+}
+
+
+def load_scene(path: str | Path) -> Scene:
+    """Read a scene, of any format known.
+
+    Raises SceneError for an unknown suffix, a missing or unreadable file, and whatever its reader refuses.
+    """
+    path = Path(path)
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        came = f"the suffix {path.suffix!r}" if path.suffix else "no suffix"
+        raise SceneError(f"{path}: the file has {came}, wanted one of: {' '.join(READERS)}")
+    module, function = reader
+    scene: Scene = getattr(import_module(f"raygrid.host.{module}"), function)(path)
+    return scene

@@ -1,0 +1,105 @@
+"""From what pydantic says of a scene file to one sentence: file, line, key, what came, what was wanted."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+from raygrid.host.scene_builder import shown
+from raygrid.host.scenefile_schema import TABLES, SceneFile
+from raygrid.node.errors import SceneError
+
+Key = tuple[str | int, ...]
+
+HEADER = re.compile(r"\s*\[(\[?)\s*([^\]]+?)\s*\]")
+ASSIGNMENT = re.compile(r"\s*([\w.-]+|\"[^\"]*\")\s*=")
+
+
+def checked(path: Path, text: str, tables: dict[str, Any]) -> SceneFile:
+    """The tables of a file as a SceneFile; raises SceneError for the first fault. `text` is for the line number."""
+    try:
+        return SceneFile.model_validate(tables)
+    except ValidationError as error:
+        fault = error.errors(include_url=False)[0]
+        raise SceneError(_sentence(path, text, tables, fault)) from None
+
+
+def _sentence(path: Path, text: str, tables: dict[str, Any], fault: Any) -> str:
+    key, tag = _without_tags(fault["loc"], tables)
+    line = line_of(text, key)
+    where = f"{path}, line {line}" if line else str(path)
+    name = _shown_key(key)
+    kind, message = fault["type"], fault["msg"]
+    if kind == "missing":
+        return f"{where}: {name} is missing"
+    if kind == "extra_forbidden":
+        model = TABLES.get(tag or str(key[0]), SceneFile) if len(key) > 1 else SceneFile
+        return f"{where}: the key {name} is unknown, wanted one of: {', '.join(_keys(model))}"
+    if kind.startswith("union_tag"):
+        kinds = [word.strip("' ") for word in fault["ctx"].get("expected_tags", "").split(",")] or ["kind"]
+        came = fault["input"].get("kind") if isinstance(fault["input"], dict) else fault["input"]
+        wanted = ", ".join(kinds) if kinds != [""] else "a kind"
+        return f"{where}: {name}.kind is {shown(came)}, wanted one of: {wanted}"
+    wanted = re.sub(r"^(Value error, )?(Input should )?(be )?", "", message)
+    return f"{where}: {name} is {shown(fault['input'])}, wanted {wanted}"
+
+
+def _without_tags(loc: Sequence[str | int], tables: Any) -> tuple[Key, str]:
+    """The path of keys through the file itself, without the kinds that pydantic puts between, and the last of those."""
+    key: list[str | int] = []
+    tag, at = "", tables
+    for step in loc:
+        if isinstance(at, dict) and isinstance(step, str) and step not in at and at.get("kind") == step:
+            tag = step
+            continue
+        key.append(step)
+        try:
+            at = at[step]
+        except (KeyError, IndexError, TypeError):
+            at = None
+    return tuple(key), tag
+
+
+def _keys(model: Any) -> list[str]:
+    """The keys of a table as users write them."""
+    names = []
+    for name, field in model.model_fields.items():
+        alias = field.validation_alias
+        names.append(str(alias.choices[0]) if alias is not None else name)
+    return names
+
+
+def _shown_key(key: Key) -> str:
+    text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in key)
+    return text.removeprefix(".")
+
+
+def line_of(text: str, key: Key) -> int | None:
+    """The line on which a key, or the innermost table around it, stands; None if it cannot be found.
+
+    Reads headers and assignments as they are usually written, one a line; what is inside inline tables or strings of
+    several lines is attributed to where they begin.
+    """
+    lines: dict[Key, int] = {}
+    counts: dict[str, int] = {}
+    table: Key = ()
+    for number, line in enumerate(text.splitlines(), 1):
+        header, assignment = HEADER.match(line), ASSIGNMENT.match(line)
+        if header and not assignment:
+            name = header[2]
+            if header[1]:
+                counts[name] = counts.get(name, -1) + 1
+                table = (name, counts[name])
+            else:
+                table = tuple(part.strip(" \"'") for part in name.split("."))
+            lines.setdefault(table, number)
+            lines.setdefault(table[:1], number)
+        elif assignment:
+            lines.setdefault((*table, assignment[1].strip('"')), number)
+    for length in range(len(key), 0, -1):
+        if key[:length] in lines:
+            return lines[key[:length]]
+    return None

@@ -1,0 +1,187 @@
+"""The scene file (TOML): our own format for scenes made of primitives and meshes, with materials, lights and camera.
+
+`scenefile_schema` says what may stand in it, this module turns it into a scene. Ids run through the included file, then
+[[surfaces]], then [[meshes]]. Errors name the file, the line if it can be found, the key, what came and what was wanted;
+only the first is told, since the others are often its consequences.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from raygrid.host import scenefile_schema as schema
+from raygrid.host.cameras import DEFAULT_FOV, Camera, orthographic_camera, perspective_camera
+from raygrid.host.load import load_scene
+from raygrid.host.scene import Scene
+from raygrid.host.scene_builder import SceneBuilder, material, read_bytes, shown
+from raygrid.host.scene_finish import finish_scene
+from raygrid.host.scene_lights import Table, directional_light, light_table, point_light, spot_light
+from raygrid.host.scene_mtl import GREY
+from raygrid.host.scene_toml_errors import checked
+from raygrid.host.scene_transform import moved, placement
+from raygrid.node.errors import SceneError
+from raygrid.node.surfaces import F64, Kind
+
+SOFT_EDGE = 0.8  # a spot's full light reaches this part of the way to its rim unless the file says otherwise
+CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
+BOX_SIDES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))  # fronts outside
+
+
+def load_scenefile(path: Path) -> Scene:
+    """Read a file. Raises SceneError with file, line, key, what came and what was wanted."""
+    text = read_bytes(path)
+    try:
+        tables = tomllib.loads(text.decode("utf-8"))
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        raise SceneError(f"{path}: the TOML cannot be read ({error})") from None
+    return _Reader(path, checked(path, text.decode("utf-8"), tables)).scene()
+
+
+class _Reader:
+    def __init__(self, path: Path, file: schema.SceneFile) -> None:
+        self.path = path
+        self.file = file
+        self.builder = SceneBuilder(str(path))
+        self.materials = {name: self._add_material(m) for name, m in file.materials.items()}
+        self.grey: int | None = None
+
+    def scene(self) -> Scene:
+        file, base = self.file, self._included()
+        for number, surface in enumerate(file.surfaces):
+            self._add_surface(surface, f"surfaces[{number}]")
+        for number, mesh in enumerate(file.meshes):
+            self._add_mesh(mesh, f"meshes[{number}]")
+        image = file.image or schema.Image()
+        size = (image.width, image.height) if file.image else base.size if base else None
+        background = file.background or (base.background if base else (0.0, 0.0, 0.0))
+        return finish_scene(
+            self.builder,
+            self.path,
+            camera=self._camera(base),
+            lights=light_table([*([base.lights] if base else []), *map(_light, file.lights)]),
+            background=background,
+            highlights=True if file.highlights is None else file.highlights,
+            size=size,
+            samples=image.samples,
+            depth=image.depth,
+            min_weight=image.min_weight,
+        )
+
+    def _error(self, message: str) -> SceneError:
+        return SceneError(f"{self.path}: {message}")
+
+    def _included(self) -> Scene | None:
+        """The scene that this one adds to: NFF only, since other readers invent cameras and lights."""
+        if self.file.include is None:
+            return None
+        path = self.path.parent / self.file.include
+        if path.suffix.lower() != ".nff":
+            raise self._error(f"include is {shown(self.file.include)}, wanted an .nff file; meshes go under [[meshes]]")
+        base = load_scene(path)
+        self._add_scene(base, np.eye(3), (0.0, 0.0, 0.0), None)
+        return base
+
+    def _add_material(self, m: schema.Material) -> int:
+        return self.builder.add_materials(
+            material(np.multiply(m.colour, m.diffuse), m.highlight, m.shine, m.specular, m.transmission, m.ior)
+        )
+
+    def _material(self, name: str | None, where: str) -> int:
+        if name is not None:
+            if name not in self.materials:
+                known = ", ".join(self.materials) or "none, as the file has no [materials]"
+                raise self._error(f"{where}.material is {shown(name)}, wanted one of: {known}")
+            return self.materials[name]
+        if self.grey is None:
+            self.grey = self.builder.add_materials(GREY)
+        return self.grey
+
+    def _add_surface(self, surface: schema.Surface, where: str) -> None:
+        number = self._material(surface.material, where)
+        if isinstance(surface, schema.Polygon | schema.Box):
+            polygons = _box(surface) if isinstance(surface, schema.Box) else np.array([surface.points])
+            starts = np.arange(len(polygons) + 1, dtype=np.int64) * polygons.shape[1]
+            self.builder.add_polygons(polygons.reshape(-1, 3), starts, number)
+        elif isinstance(surface, schema.Sphere):
+            self.builder.add(Kind.SPHERE, np.array([[*surface.centre, surface.radius]]), number)
+        elif isinstance(surface, schema.Triangle):
+            corners = np.array([*surface.points, *(surface.normals or ())])
+            self.builder.add(Kind.SMOOTH if surface.normals else Kind.TRIANGLE, corners.reshape(1, -1), number)
+        else:
+            self._add_cone(surface, where, number)
+
+    def _add_cone(self, surface: schema.Cylinder | schema.Cone, where: str, number: int) -> None:
+        if isinstance(surface, schema.Cylinder):
+            wide, narrow = (*surface.base, surface.radius), (*surface.top, surface.radius)
+        else:
+            wide, narrow = (*surface.base, surface.base_radius), (*surface.apex, surface.apex_radius)
+        if abs(narrow[3]) > abs(wide[3]):
+            wide, narrow = narrow, wide
+        if wide[:3] == narrow[:3]:
+            raise self._error(f"{where} has both ends at {list(wide[:3])}, wanted two points")
+        if wide[3] * narrow[3] < 0.0 or wide[3] == 0.0:
+            raise self._error(f"{where} has the radii {wide[3]} and {narrow[3]}, wanted one sign and not both 0")
+        kind = Kind.CYLINDER if wide[3] == narrow[3] else Kind.CONE
+        self.builder.add(kind, np.array([[*wide, *narrow]]), number)
+
+    def _add_mesh(self, mesh: schema.Mesh, where: str) -> None:
+        path = self.path.parent / mesh.file
+        if path.suffix.lower() == ".toml":
+            raise self._error(f"{where}.file is {shown(mesh.file)}, wanted a file that is no scene file itself")
+        override = None if mesh.material is None else self._material(mesh.material, where)
+        try:
+            self._add_scene(load_scene(path), placement(mesh.scale, mesh.rotate), mesh.translate, override)
+        except SceneError as error:
+            raise self._error(f"{where}: {error}") from None
+
+    def _add_scene(self, scene: Scene, matrix: F64, shift: tuple[float, ...], override: int | None) -> None:
+        """Add the surfaces of another file, with its own materials or one for all."""
+        first = 0 if override is not None else self.builder.add_materials(scene.materials)
+        begin = self.builder.next_order
+        for batch in scene.surfaces:
+            data = moved(batch, matrix, shift)
+            rows = batch.materials.astype(np.int64) + first
+            materials = rows if override is None else np.full(len(batch), override)
+            order = batch.ids.astype(np.int64) + begin
+            if batch.kind == Kind.POLYGON:
+                self.builder.add_polygons(data, batch.starts, materials, order)
+            else:
+                self.builder.add(batch.kind, data, materials, order)
+        # Remarks on an invented camera or lights are about what is not used here.
+        kept = [remark for remark in scene.remarks if not remark.startswith("no ")]
+        self.builder.remarks += [f"{scene.name}: {remark}" for remark in kept]
+
+    def _camera(self, base: Scene | None) -> Camera | None:
+        c = self.file.camera
+        if c is None:
+            return base.camera if base else None
+        try:
+            if c.orthographic is not None:
+                return orthographic_camera(c.eye, c.at, c.up, c.orthographic)
+            return perspective_camera(c.eye, c.at, c.up, DEFAULT_FOV if c.fov is None else c.fov)
+        except SceneError as error:
+            raise self._error(str(error)) from None
+
+
+def _light(light: schema.Light) -> Table:
+    intensity = light.intensity * np.array(light.colour)
+    if isinstance(light, schema.PointLight):
+        return point_light(light.position, intensity, light.falloff)
+    if isinstance(light, schema.SpotLight):
+        outer = math.radians(light.outer_degrees)
+        inner = SOFT_EDGE * outer if light.inner_degrees is None else math.radians(light.inner_degrees)
+        axis = np.subtract(light.at, light.position)
+        return spot_light(light.position, axis, intensity, inner, outer, light.falloff)
+    radius = None if light.disc_degrees is None else math.radians(light.disc_degrees)
+    return directional_light(light.towards, intensity, radius, light.disc_colour or intensity)
+
+
+def _box(box: schema.Box) -> NDArray[np.float64]:
+    """Six quadrilaterals, (6, 4, 3)."""
+    low, high = np.array(box.low), np.array(box.high)
+    corners = np.where(CORNERS > 0.0, high, low)
+    return np.asarray(corners[np.array(BOX_SIDES)])

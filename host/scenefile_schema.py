@@ -1,0 +1,246 @@
+"""The tables and keys of a scene file (TOML), as pydantic models. `docs/scenes.md` is the reference for users.
+
+Unknown keys are refused: a misspelt one would otherwise be a silent default. Numbers must be numbers ("1.5" is none).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    AfterValidator,
+    AliasChoices,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    Strict,
+    model_validator,
+)
+from raygrid.host.scene_builder import MAX_COORDINATE
+
+MAX_SIDE = 65_535  # pixels
+MAX_DEPTH = 31  # five bits of a packet hold the depth
+
+
+def _tripled(value: Any) -> Any:
+    """One number stands for three equal ones."""
+    return (value, value, value) if isinstance(value, int | float) and not isinstance(value, bool) else value
+
+
+def _not_zero(value: float) -> float:
+    if value == 0.0:
+        raise ValueError("Input should be another number than 0")
+    return value
+
+
+def _with_length(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    if not any(value):
+        raise ValueError("Input should be a direction, not all 0")
+    return value
+
+
+Number = Annotated[float, Strict(), Field(allow_inf_nan=False, ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
+NotBelow0 = Annotated[float, Strict(), Field(allow_inf_nan=False, ge=0.0, le=MAX_COORDINATE)]
+Above0 = Annotated[float, Strict(), Field(allow_inf_nan=False, gt=0.0, le=MAX_COORDINATE)]
+NotZero = Annotated[Number, AfterValidator(_not_zero)]
+Whole = Annotated[int, Strict()]
+Flag = Annotated[bool, Strict()]
+Text = Annotated[str, Strict(), Field(min_length=1)]
+Point = tuple[Number, Number, Number]
+Direction = Annotated[Point, AfterValidator(_with_length)]
+Colour = tuple[NotBelow0, NotBelow0, NotBelow0]
+Weight = Annotated[Colour, BeforeValidator(_tripled)]
+Scale = Annotated[tuple[NotZero, NotZero, NotZero], BeforeValidator(_tripled)]
+
+WHITE = (1.0, 1.0, 1.0)
+COLOUR = Field(default=WHITE, validation_alias=AliasChoices("colour", "color"))
+
+
+class Table(BaseModel):
+    """A table of a scene file: no keys but its own."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+
+class Image(Table):
+    """[image]"""
+
+    width: Annotated[Whole, Field(ge=1, le=MAX_SIDE)] = 512
+    height: Annotated[Whole, Field(ge=1, le=MAX_SIDE)] = 512
+    samples: Annotated[Whole, Field(ge=1, le=MAX_SIDE)] | None = None
+    depth: Annotated[Whole, Field(ge=1, le=MAX_DEPTH)] | None = None
+    min_weight: NotBelow0 | None = None
+
+
+class Camera(Table):
+    """[camera]"""
+
+    eye: Point = Field(validation_alias=AliasChoices("from", "eye"))
+    at: Point
+    up: Direction = (0.0, 1.0, 0.0)
+    fov: Annotated[float, Strict(), Field(gt=0.0, lt=180.0)] | None = None
+    orthographic: Above0 | None = None
+
+    @model_validator(mode="after")
+    def _one_view(self) -> Camera:
+        if self.fov is not None and self.orthographic is not None:
+            raise ValueError("Input should be either fov or orthographic, not both")
+        return self
+
+
+class Material(Table):
+    """[materials.NAME]"""
+
+    colour: Colour = COLOUR
+    diffuse: Weight = WHITE
+    highlight: Weight = (0.0, 0.0, 0.0)
+    shine: NotBelow0 = 50.0
+    specular: Weight = (0.0, 0.0, 0.0)
+    transmission: Weight = (0.0, 0.0, 0.0)
+    ior: Above0 = 1.5
+
+
+class PointLight(Table):
+    """[[lights]] of kind point"""
+
+    kind: Literal["point"]
+    position: Point
+    intensity: NotBelow0 = 1.0
+    colour: Colour = COLOUR
+    falloff: Flag = False
+
+
+class SpotLight(Table):
+    """[[lights]] of kind spot; the angles are measured from the axis."""
+
+    kind: Literal["spot"]
+    position: Point
+    at: Point
+    intensity: NotBelow0 = 1.0
+    colour: Colour = COLOUR
+    falloff: Flag = False
+    outer_degrees: Annotated[float, Strict(), Field(gt=0.0, le=180.0)] = 30.0
+    inner_degrees: Annotated[float, Strict(), Field(ge=0.0, le=180.0)] | None = None
+
+    @model_validator(mode="after")
+    def _sound(self) -> SpotLight:
+        if self.inner_degrees is not None and self.inner_degrees > self.outer_degrees:
+            raise ValueError("Input should be inner_degrees of at most outer_degrees")
+        if self.position == self.at:
+            raise ValueError("Input should be two different points as position and at")
+        return self
+
+
+class DirectionalLight(Table):
+    """[[lights]] of kind directional"""
+
+    kind: Literal["directional"]
+    towards: Direction
+    intensity: NotBelow0 = 1.0
+    colour: Colour = COLOUR
+    disc_degrees: Annotated[float, Strict(), Field(ge=0.0, le=90.0)] | None = None
+    disc_colour: Colour | None = Field(default=None, validation_alias=AliasChoices("disc_colour", "disc_color"))
+
+
+class Sphere(Table):
+    """[[surfaces]] of kind sphere; below 0 the radius means that only the inside shows."""
+
+    kind: Literal["sphere"]
+    material: Text | None = None
+    centre: Point = Field(validation_alias=AliasChoices("centre", "center"))
+    radius: NotZero
+
+
+class Cylinder(Table):
+    """[[surfaces]] of kind cylinder, open at both ends"""
+
+    kind: Literal["cylinder"]
+    material: Text | None = None
+    base: Point
+    top: Point
+    radius: NotZero
+
+
+class Cone(Table):
+    """[[surfaces]] of kind cone, open at both ends"""
+
+    kind: Literal["cone"]
+    material: Text | None = None
+    base: Point
+    base_radius: Number
+    apex: Point
+    apex_radius: Number = 0.0
+
+
+class Triangle(Table):
+    """[[surfaces]] of kind triangle"""
+
+    kind: Literal["triangle"]
+    material: Text | None = None
+    points: tuple[Point, Point, Point]
+    normals: tuple[Direction, Direction, Direction] | None = None
+
+
+class Polygon(Table):
+    """[[surfaces]] of kind polygon"""
+
+    kind: Literal["polygon"]
+    material: Text | None = None
+    points: Annotated[list[Point], Field(min_length=3)]
+
+
+class Box(Table):
+    """[[surfaces]] of kind box, along the axes"""
+
+    kind: Literal["box"]
+    material: Text | None = None
+    low: Point
+    high: Point
+
+    @model_validator(mode="after")
+    def _has_volume(self) -> Box:
+        if not all(low < high for low, high in zip(self.low, self.high, strict=True)):
+            raise ValueError("Input should be a box whose low is below its high along all axes")
+        return self
+
+
+class Mesh(Table):
+    """[[meshes]]: the surfaces of another file"""
+
+    file: Text
+    material: Text | None = None
+    scale: Scale = WHITE
+    rotate: Point = (0.0, 0.0, 0.0)
+    translate: Point = (0.0, 0.0, 0.0)
+
+
+Light = Annotated[PointLight | SpotLight | DirectionalLight, Field(discriminator="kind")]
+Surface = Annotated[Sphere | Cylinder | Cone | Triangle | Polygon | Box, Field(discriminator="kind")]
+
+
+class SceneFile(Table):
+    """The whole file."""
+
+    include: Text | None = None
+    background: Colour | None = None
+    highlights: Flag | None = None
+    image: Image | None = None
+    camera: Camera | None = None
+    materials: dict[str, Material] = Field(default_factory=dict)
+    lights: list[Light] = Field(default_factory=list)
+    surfaces: list[Surface] = Field(default_factory=list)
+    meshes: list[Mesh] = Field(default_factory=list)
+
+
+TABLES: dict[str, type[Table]] = {
+    "image": Image,
+    "camera": Camera,
+    "materials": Material,
+    "meshes": Mesh,
+    **{model.model_fields["kind"].annotation.__args__[0]: model for model in (PointLight, SpotLight, DirectionalLight)},
+    **{
+        model.model_fields["kind"].annotation.__args__[0]: model
+        for model in (Sphere, Cylinder, Cone, Triangle, Polygon, Box)
+    },
+}

@@ -1,0 +1,258 @@
+"""One end of a link between two neighbours, over any channel that carries whole messages in order.
+
+A channel's word proves nothing (a black-holed ZeroMQ peer sees all its sends succeed), so the link itself
+says HELLO and waits for ACK, numbers what it sends, and closes with BYE and its answer. It never blocks: a
+message that may not go yet (no credit, or the channel is full) waits in the link.
+
+    state     on send                 on receive
+    NEW       HELLO                   HELLO -> ACK;  ACK -> remembered
+    UP        anything                anything but HELLO, ACK
+    CLOSING   BYE sent, nothing more  everything until BYE_ACK
+    CLOSED    nothing                 nothing
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from enum import Enum
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import ProtocolError
+from .messages import (
+    HEADER,
+    IS_DATA,
+    VERSION,
+    WINDOW,
+    MessageKind,
+    pack_order,
+    read_header,
+    read_order,
+)
+from .packets import SIZE
+from .step import HEAD
+
+
+class Channel(Protocol):
+    """Carries whole messages in order to one peer, or not at all."""
+
+    def send(self, message: bytes | memoryview) -> bool:
+        """Hand over a message without blocking; False if there is no room now."""
+
+    def receive(self) -> bytes | None:
+        """The next message, or None if there is none now."""
+
+    def close(self) -> None:
+        """Give the channel up; messages under way may be lost."""
+
+
+class State(Enum):
+    """Where a link stands."""
+
+    NEW = "new"
+    UP = "up"
+    CLOSING = "closing"
+    CLOSED = "closed"
+
+
+class Arrival(NamedTuple):
+    """A message for the owner of the link."""
+
+    kind: MessageKind
+    count: int
+    message: bytes
+
+
+class Link:
+    """One end of a link.
+
+    name      for error messages, "1,0,0 port +x"
+    identity  what HELLO says: machine, coordinates, port; the peer's must equal `peer`
+    """
+
+    def __init__(self, channel: Channel, name: str, epoch: int, identity: dict[str, Any], peer: dict[str, Any]) -> None:
+        self.channel = channel
+        self.name = name
+        self.epoch = epoch
+        self.state = State.NEW
+        self._identity = {**identity, "version": VERSION}
+        self._peer = {**peer, "version": VERSION}
+        self._heard = self._acknowledged = self._bye_heard = self._bye_answered = False
+        self._sent = self._received = 0  # sequence numbers
+        self._data_sent = self._data_done = self._data_done_told = 0
+        self._credit = 0  # data messages of ours that the peer has processed
+        self._waiting: deque[tuple[MessageKind, int, bytes]] = deque()  # data without credit
+        self._urgent: deque[tuple[MessageKind, bytes]] = deque()  # orders that the channel had no room for
+        self.messages_sent = self.bytes_sent = self.stale = 0
+        self.most_waiting = 0
+        self._post(MessageKind.HELLO, pack_order(self._identity))
+
+    # --- sending ---------------------------------------------------------------------------------
+
+    @property
+    def waiting(self) -> int:
+        """Messages that wait for credit or room."""
+        return len(self._waiting) + len(self._urgent)
+
+    @property
+    def choked(self) -> bool:
+        """Whether a message could go by the link's rules, but the channel had no room for it."""
+        return bool(self._urgent) or (bool(self._waiting) and self._may_send_data())
+
+    def send_order(self, kind: MessageKind, order: dict[str, Any]) -> None:
+        """Send an order or answer; it needs no credit, because waves are few."""
+        self._post(kind, pack_order(order))
+
+    def send_data(self, kind: MessageKind, count: int, payload: bytes) -> None:
+        """Send packets or surfaces, now or when there is credit."""
+        self._waiting.append((kind, count, payload))
+        self.most_waiting = max(self.most_waiting, len(self._waiting))
+        self.push()
+
+    def send_packets(self, row: NDArray[np.uint8], held: int, batch: int) -> None:
+        """Send the first `held` packets of an output row (HEAD bytes are free at its head), `batch` a message."""
+        if held <= batch and not self._waiting and self._may_send_data():
+            HEADER.pack_into(row, 0, *self._header(MessageKind.PACKETS, held))
+            if self.channel.send(memoryview(row)[: HEAD + held * SIZE]):
+                self._count_sent(HEAD + held * SIZE, data=True)
+                return
+        for first in range(0, held, batch):
+            many = min(batch, held - first)
+            begin = HEAD + first * SIZE
+            self._waiting.append((MessageKind.PACKETS, many, row[begin : begin + many * SIZE].tobytes()))
+        self.most_waiting = max(self.most_waiting, len(self._waiting))
+        self.push()
+
+    def push(self) -> None:
+        """Send what waits, as far as credit and the channel allow."""
+        while self._urgent:
+            kind, payload = self._urgent[0]
+            if not self._send_now(kind, 0, payload):
+                return
+            self._urgent.popleft()
+        while self._waiting and self._may_send_data():
+            kind, count, payload = self._waiting[0]
+            if not self._send_now(kind, count, payload):
+                return
+            self._waiting.popleft()
+
+    def grant(self, messages: int = 1) -> None:
+        """Say that this many data messages from the peer have been processed."""
+        self._data_done += messages
+        if self._data_done - self._data_done_told >= WINDOW // 2:
+            self._post(MessageKind.CREDIT, b"")
+
+    def close(self) -> None:
+        """Say BYE; the link is CLOSED when both sides have said and answered it."""
+        if self.state in (State.NEW, State.UP):
+            self._post(MessageKind.BYE, b"")
+            self.state = State.CLOSING
+            self._maybe_closed()
+
+    def _may_send_data(self) -> bool:
+        return self.state == State.UP and self._data_sent - self._credit < WINDOW
+
+    def _header(self, kind: MessageKind, count: int) -> tuple[int, int, int, int, int, int]:
+        return (int(kind), 0, self.epoch, self._sent & 0xFFFFFFFF, self._data_done & 0xFFFFFFFF, count)
+
+    def _post(self, kind: MessageKind, payload: bytes) -> None:
+        if self._urgent or not self._send_now(kind, 0, payload):
+            self._urgent.append((kind, payload))
+
+    def _send_now(self, kind: MessageKind, count: int, payload: bytes) -> bool:
+        message = HEADER.pack(*self._header(kind, count)) + payload
+        if not self.channel.send(message):
+            return False
+        self._count_sent(len(message), kind in IS_DATA)
+        return True
+
+    def _count_sent(self, size: int, data: bool) -> None:
+        self._sent += 1
+        self._data_sent += data
+        self._data_done_told = self._data_done
+        self.messages_sent += 1
+        self.bytes_sent += size
+
+    # --- receiving -------------------------------------------------------------------------------
+
+    def receive(self) -> Arrival | None:
+        """The next message for the owner, None if there is none now. Raises ProtocolError.
+
+        The link deals with HELLO, ACK, CREDIT, BYE and BYE_ACK itself; a message of another epoch is
+        counted and dropped.
+        """
+        while self.state != State.CLOSED:
+            message = self.channel.receive()
+            if message is None:
+                return None
+            header = read_header(message)
+            if header.epoch != self.epoch:
+                self.stale += 1
+                continue
+            self._check_order(header.sequence, header.kind)
+            self._take_credit(header.credit)
+            if not self._is_for_link(header.kind, message):
+                return Arrival(header.kind, header.count, message)
+        return None
+
+    def _check_order(self, sequence: int, kind: MessageKind) -> None:
+        if sequence != self._received & 0xFFFFFFFF:
+            raise ProtocolError(
+                f"link {self.name}: message {sequence} ({kind.name}) came, wanted {self._received}: "
+                "messages were lost, doubled or out of order"
+            )
+        if not self._heard and kind != MessageKind.HELLO:
+            raise ProtocolError(f"link {self.name}: {kind.name} came before HELLO")
+        self._received += 1
+
+    def _take_credit(self, credit: int) -> None:
+        gained = (credit - self._credit) & 0xFFFFFFFF
+        if gained > self._data_sent - self._credit:
+            raise ProtocolError(
+                f"link {self.name}: the peer says it has processed {credit} messages, {self._data_sent} were sent"
+            )
+        if gained:
+            self._credit += gained
+            self.push()
+
+    def _is_for_link(self, kind: MessageKind, message: bytes) -> bool:
+        """Deal with the link's own messages; False for all others."""
+        if kind == MessageKind.HELLO:
+            self._meet(read_order(message))
+        elif kind == MessageKind.ACK:
+            self._acknowledged = True
+        elif kind == MessageKind.BYE:
+            self._bye_heard = True
+            self._post(MessageKind.BYE_ACK, b"")
+            self._maybe_closed()
+        elif kind == MessageKind.BYE_ACK:
+            self._bye_answered = True
+            self._maybe_closed()
+        elif kind != MessageKind.CREDIT:
+            return False
+        if self.state == State.NEW and self._heard and self._acknowledged:
+            self.state = State.UP
+            self.push()
+        return True
+
+    def _meet(self, order: dict[str, Any]) -> None:
+        if order != self._peer or self._heard:
+            raise ProtocolError(f"link {self.name}: HELLO came as {order}, wanted {self._peer} once")
+        self._heard = True
+        self._post(MessageKind.ACK, b"")
+
+    def _maybe_closed(self) -> None:
+        if self._bye_heard and self._bye_answered and not self._urgent:
+            self.state = State.CLOSED
+
+    @property
+    def received(self) -> int:
+        """Messages that came so far."""
+        return self._received
+
+    @property
+    def peer_left(self) -> bool:
+        """Whether the peer has said BYE."""
+        return self._bye_heard

@@ -1,0 +1,147 @@
+"""What travels on a link: a 16-byte header, then 25-byte packets, surface descriptions, or an order.
+
+    header   kind u8, zero u8, epoch u16, sequence u32, credit u32, count u32      (little-endian)
+
+epoch     number of resets of the machine so far; another epoch's message is stale
+sequence  of this direction of this link, from 0, without gaps
+credit    how many PACKETS and SURFACES messages the sender of this header has processed so far; the other
+          side may have at most WINDOW unprocessed ones under way
+count     packets or surfaces in the message, else 0
+
+The header is link protocol, not packet (law 2). Orders are msgpack maps with string keys; nothing that comes
+in is trusted: lengths, types and finiteness are checked here before anything is used (law 11).
+"""
+
+from __future__ import annotations
+
+import struct
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+import msgpack
+import numpy as np
+
+from .errors import ProtocolError
+from .packets import SIZE
+from .step import HEAD
+from .surfaces import STORED_AS, STRIDE, Batch, Kind
+
+VERSION = 1
+MAX_MESSAGE = 1 << 20  # bytes; ZMQ_MAXMSGSIZE of every socket
+WINDOW = 32  # PACKETS and SURFACES messages under way on one direction of a link
+HEADER = struct.Struct("<BBHIII")
+SURFACE_HEADER = struct.Struct("<BBHII")  # corner, kind, zero, surfaces, points of polygons
+MOST_ITEMS = 1 << 16  # entries of any list or map in an order
+assert HEADER.size == HEAD
+
+
+class MessageKind(IntEnum):
+    """First byte of a message."""
+
+    HELLO = 1  # order: who I am
+    ACK = 2  # I have seen your HELLO
+    PACKETS = 3
+    SURFACES = 4
+    DOWN = 5  # a wave on its way from the root: an order
+    UP = 6  # its answer
+    CREDIT = 7  # nothing but the header
+    BYE = 8  # nothing more will come
+    BYE_ACK = 9
+
+
+IS_DATA = frozenset((MessageKind.PACKETS, MessageKind.SURFACES))
+
+
+class Header(NamedTuple):
+    """The decoded head of a message."""
+
+    kind: MessageKind
+    epoch: int
+    sequence: int
+    credit: int
+    count: int
+
+
+def read_header(message: bytes) -> Header:
+    """Decode and check a header. Raises ProtocolError."""
+    if not HEAD <= len(message) <= MAX_MESSAGE:
+        raise ProtocolError(f"a message came with {len(message)} bytes, wanted {HEAD} to {MAX_MESSAGE}")
+    kind, zero, epoch, sequence, credit, count = HEADER.unpack_from(message)
+    if kind not in MessageKind.__members__.values() or zero != 0:
+        raise ProtocolError(f"a message came with header {message[:HEAD].hex()}, wanted a known kind and a zero byte")
+    return Header(MessageKind(kind), epoch, sequence, credit, count)
+
+
+def check_packets(message: bytes, count: int) -> None:
+    """Raise ProtocolError unless the message is exactly as long as `count` packets."""
+    if len(message) != HEAD + count * SIZE or count == 0:
+        raise ProtocolError(f"{count} packets came in {len(message) - HEAD} bytes, wanted {count * SIZE} and at least one")
+
+
+def pack_order(order: dict[str, Any]) -> bytes:
+    """An order (or answer) as bytes."""
+    packed: bytes = msgpack.packb(order, use_bin_type=True)
+    return packed
+
+
+def read_order(message: bytes) -> dict[str, Any]:
+    """The order of a message. Raises ProtocolError unless it is one map with string keys."""
+    try:
+        order = msgpack.unpackb(
+            memoryview(message)[HEAD:],
+            raw=False,
+            strict_map_key=True,
+            max_array_len=MOST_ITEMS,
+            max_map_len=MOST_ITEMS,
+            max_ext_len=0,
+        )
+    except (ValueError, msgpack.UnpackException, RecursionError) as error:
+        raise ProtocolError(f"an order of {len(message) - HEAD} bytes cannot be read: {error}") from None
+    if not isinstance(order, dict):
+        raise ProtocolError(f"an order came as {type(order).__name__}, wanted a map")
+    return order
+
+
+def pack_surfaces(corner: int, batch: Batch) -> bytes:
+    """Surface descriptions in machine coordinates, that entered the array at this corner (0 to 7)."""
+    points = int(batch.starts[-1]) if batch.kind == Kind.POLYGON else 0
+    parts = [
+        SURFACE_HEADER.pack(corner, int(batch.kind), 0, len(batch), points),
+        batch.ids.astype("<u4", copy=False).tobytes(),
+        batch.materials.astype("<u2", copy=False).tobytes(),
+    ]
+    if batch.kind == Kind.POLYGON:
+        parts.append(np.diff(batch.starts).astype("<u4").tobytes())
+    parts.append(batch.data.astype(STORED_AS[batch.kind], copy=False).tobytes())
+    return b"".join(parts)
+
+
+def read_surfaces(message: bytes, count: int) -> tuple[int, Batch]:
+    """(corner, descriptions) of a SURFACES message. Raises ProtocolError for anything else."""
+    if len(message) < HEAD + SURFACE_HEADER.size:
+        raise ProtocolError(f"surfaces came in {len(message) - HEAD} bytes, wanted {SURFACE_HEADER.size} or more")
+    corner, kind_number, zero, n, points = SURFACE_HEADER.unpack_from(message, HEAD)
+    if corner > 7 or kind_number not in Kind.__members__.values() or zero != 0 or n != count or n == 0:
+        raise ProtocolError(f"surfaces came with corner {corner}, kind {kind_number}, {n} of {count}")
+    kind = Kind(kind_number)
+    polygon = kind == Kind.POLYGON
+    dtype = np.dtype(STORED_AS[kind])
+    rows = points if polygon else n
+    expected = HEAD + SURFACE_HEADER.size + n * (6 + 4 * polygon) + rows * STRIDE[kind] * dtype.itemsize
+    if len(message) != expected or (not polygon and points != 0):
+        raise ProtocolError(f"{n} surfaces of kind {kind.name} came in {len(message)} bytes, wanted {expected}")
+    at = HEAD + SURFACE_HEADER.size
+    ids = np.frombuffer(message, "<u4", n, at)
+    materials = np.frombuffer(message, "<u2", n, at + 4 * n)
+    at += 6 * n
+    starts = np.zeros(0, np.int64)
+    if polygon:
+        sizes = np.frombuffer(message, "<u4", n, at).astype(np.int64)
+        starts = np.concatenate(([0], np.cumsum(sizes)))
+        at += 4 * n
+        if sizes.min() < 3 or starts[-1] != points:
+            raise ProtocolError(f"{n} polygons came with {int(sizes.min())} or more points each, {points} in all")
+    data = np.frombuffer(message, dtype, rows * STRIDE[kind], at).reshape(rows, STRIDE[kind])
+    if not np.all(np.abs(data) < 1e6):  # false for not-a-number too; machine coordinates are below 2
+        raise ProtocolError(f"{n} surfaces of kind {kind.name} came with numbers beyond the world box")
+    return corner, Batch(kind, ids, materials, data, starts)

@@ -1,0 +1,55 @@
+"""ZeroMQ PAIR sockets as channels. What their settings rest on is in docs/design.md (links).
+
+An endpoint is never used twice: names carry the epoch. Heartbeats stay off (they can abort the survivor of a
+dead peer); a message is one part, because endless multipart evades every limit; sends never block.
+"""
+
+from __future__ import annotations
+
+import zmq
+
+from .errors import ProtocolError
+from .messages import MAX_MESSAGE, WINDOW
+
+NOBLOCK = int(zmq.NOBLOCK)
+RECONNECT_MS = 2  # the connecting end may be there before the binding one
+
+
+class Pair:
+    """A PAIR socket that carries whole messages (see `node.link.Channel`)."""
+
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], endpoint: str, bind: bool) -> None:
+        self.endpoint = endpoint
+        self.socket = context.socket(zmq.PAIR)
+        self.socket.setsockopt(zmq.LINGER, 0)
+        self.socket.setsockopt(zmq.MAXMSGSIZE, MAX_MESSAGE)
+        # above the link's own window, so that ZeroMQ's back-pressure never acts on data
+        self.socket.setsockopt(zmq.SNDHWM, 4 * WINDOW)
+        self.socket.setsockopt(zmq.RCVHWM, 4 * WINDOW)
+        self.socket.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
+        if bind:
+            self.socket.bind(endpoint)
+        else:
+            self.socket.connect(endpoint)
+
+    def send(self, message: bytes | memoryview) -> bool:
+        """Hand over a message without blocking; False if there is no room now."""
+        try:
+            self.socket.send(message, NOBLOCK)
+        except zmq.Again:
+            return False
+        return True
+
+    def receive(self) -> bytes | None:
+        """The next message, or None. Raises ProtocolError for a message of several parts."""
+        try:
+            message = self.socket.recv(NOBLOCK)
+        except zmq.Again:
+            return None
+        if self.socket.getsockopt(zmq.RCVMORE):
+            raise ProtocolError(f"{self.endpoint}: a message of several parts came, wanted one")
+        return message
+
+    def close(self) -> None:
+        """Close at once; the link has said its goodbyes."""
+        self.socket.close(0)

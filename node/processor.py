@@ -1,0 +1,293 @@
+"""One processor without its sockets: what it does with messages, waves and work.
+
+A wave is an order that enters at the root (0, 0, 0), runs over the tree of neighbour links to every node and
+comes back, summing. Every node obeys the order and answers once its children have:
+
+    do        what a node does                                  answers when
+    ready     nothing                                           its links are up
+    space     new world box and planes, forget all surfaces     at once
+    loaded    nothing                                           at once; sums tell whether descriptions are under way
+    build     make the tables from what it retains              it is done
+    frame     begin a frame                                     at once
+    trace     may bear `quota` more primaries                   it is idle, or after `hold` seconds
+    collect   send its pixels to the nearest corner             it is idle, or after `hold` seconds
+    report    nothing                                           at once, with a record of itself
+    end       say BYE on every link                             at once
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from .errors import ProtocolError
+from .flood import Branch, branches, tree_children, tree_parent
+from .link import Arrival, Link, State
+from .messages import MessageKind, check_packets, pack_surfaces, read_order, read_surfaces
+from .orders import read_frame, read_space
+from .overlap import meets
+from .packets import FAULTS, PacketKind
+from .surfaces import Kind
+from .tables import BORN, BOXES, COUNTS, DIED, HITS, SENT, TESTS, WALKS
+from .tracer import Tracer
+from .walk import HOST, PORTS
+
+FLUSH = 256  # packets for which an output is sent although there is work; less is sent when idle
+CLOGGED = 64  # waiting messages on a link at which no more surfaces are taken in
+
+# sums of a wave: the counts of node.tables, then these
+HOMES_LEFT, WAITING, RECEIVED, HANDED_ON, COLLECTING, REFUSED = range(COUNTS, COUNTS + 6)
+SUMS = COUNTS + 6
+
+
+class Processor:
+    """A node as its links see it.
+
+    links   port -> link; HOST too at a corner
+    clock   seconds, for the time that a wave is held
+    """
+
+    def __init__(
+        self,
+        index: tuple[int, int, int],
+        shape: tuple[int, int, int],
+        links: dict[int, Link],
+        batch: int,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.index, self.shape, self.links, self.batch, self.clock = index, shape, links, batch, clock
+        self.tracer = Tracer(index, shape)
+        self.ended = False
+        self._parent = tree_parent(index)
+        if self._parent is None:
+            self._parent = HOST
+        self._children = tree_children(index, shape)
+        self._surfaces: deque[tuple[Link, Arrival]] = deque()
+        self._branches: dict[int, list[Branch]] = {}
+        self._wave: dict[str, Any] | None = None
+        self._answers: list[dict[str, Any]] = []
+        self._deadline = 0.0
+        self._received = self._handed_on = 0
+        self.refused: Counter[str] = Counter()
+
+    # --- the thin loop's three calls ---------------------------------------------------------------
+
+    def receive(self, port: int) -> None:
+        """Take in what a link has. Raises ProtocolError if the link itself is broken."""
+        link = self.links[port]
+        while (arrival := link.receive()) is not None:
+            if arrival.kind == MessageKind.PACKETS:
+                self._take_packets(port, link, arrival)
+            elif arrival.kind == MessageKind.SURFACES:
+                self._surfaces.append((link, arrival))
+            elif arrival.kind == MessageKind.DOWN and port == self._parent:
+                self._begin_wave(read_order(arrival.message))
+            elif arrival.kind == MessageKind.UP and port in self._children:
+                self._answers.append(read_order(arrival.message))
+            else:
+                raise ProtocolError(f"link {link.name}: {arrival.kind.name} came on a port where it cannot come from")
+
+    def work(self) -> bool:
+        """Do one piece of work; whether there is more."""
+        if self._surfaces:
+            self._take_surfaces()
+        if self.tracer.has_work:
+            self.tracer.work()
+        self._flush()
+        self._maybe_answer()
+        return self.busy
+
+    @property
+    def busy(self) -> bool:
+        """Whether `work` has something to do now."""
+        return self.tracer.has_work or (bool(self._surfaces) and not self._clogged())
+
+    def wait_limit(self) -> float | None:
+        """Seconds after which `work` must be called even if nothing arrives; None: never."""
+        if self._wave is None or not self._deadline:
+            return None
+        return max(0.0, self._deadline - self.clock())
+
+    # --- packets -----------------------------------------------------------------------------------
+
+    def _take_packets(self, port: int, link: Link, arrival: Arrival) -> None:
+        link.grant()
+        if self.tracer.limits is None:
+            self._refuse(f"link {link.name}: packets came before a frame")
+            return
+        try:
+            check_packets(arrival.message, arrival.count)
+        except ProtocolError as error:
+            self._refuse(f"link {link.name}: {error}")
+            return
+        number, bad = self.tracer.backlog.sort_in(arrival.message, arrival.count, port, self.tracer.limits)
+        if bad:
+            self._refuse(f"link {link.name}: packet {number} of a message: {FAULTS[bad]}")
+
+    def _refuse(self, why: str) -> None:
+        """Count what is refused; the next wave reports it."""
+        self.refused[why] += 1
+
+    def _flush(self) -> None:
+        """Send the outputs that are full enough, all of them when there is nothing else to do."""
+        held = self.tracer.outputs.held
+        least = min(FLUSH, self.batch) if self.tracer.has_work else 1
+        for port, link in self.links.items():
+            if link.choked:
+                link.push()
+            if held[port] >= least:
+                link.send_packets(self.tracer.outputs.data[port], int(held[port]), self.batch)
+                held[port] = 0
+
+    # --- surfaces ----------------------------------------------------------------------------------
+
+    def _clogged(self) -> bool:
+        return any(link.waiting > CLOGGED for link in self.links.values())
+
+    def _take_surfaces(self) -> None:
+        """Retain and hand on; the credit goes back only now, so a slow branch slows the flood, not the memory."""
+        while self._surfaces and not self._clogged():
+            link, arrival = self._surfaces.popleft()
+            link.grant()
+            space, cell = self.tracer.space, self.tracer.cell
+            if space is None or cell is None:
+                self._refuse(f"link {link.name}: surfaces came before a space")
+                continue
+            try:
+                corner, batch = read_surfaces(arrival.message, arrival.count)
+            except ProtocolError as error:
+                self._refuse(f"link {link.name}: {error}")
+                continue
+            self._received += len(batch)
+            boxes = batch.bounds()
+            self.tracer.retain(batch, boxes)
+            if corner not in self._branches:
+                self._branches[corner] = branches(corner, space, cell)
+            for branch in self._branches[corner]:
+                onward = batch.select(meets(batch, branch.low, branch.high, boxes))
+                if len(onward):
+                    self._handed_on += len(onward)
+                    payload = pack_surfaces(corner, onward)
+                    self.links[branch.port].send_data(MessageKind.SURFACES, len(onward), payload)
+
+    # --- waves -------------------------------------------------------------------------------------
+
+    def _begin_wave(self, order: dict[str, Any]) -> None:
+        if self._wave is not None:
+            raise ProtocolError(f"node {self.index}: a wave came before the last one was answered")
+        self._wave, self._answers = order, []
+        for port in self._children:
+            self.links[port].send_order(MessageKind.DOWN, order)
+        hold = order.get("hold", 0.0)
+        self._deadline = self.clock() + hold if isinstance(hold, float) and 0.0 < hold <= 60.0 else 0.0
+        try:
+            self._obey(order)
+        except ProtocolError as error:
+            self._refuse(f"node {self.index}: {error}")
+
+    def _obey(self, order: dict[str, Any]) -> None:
+        do = order.get("do")
+        if do == "space":
+            self.tracer.set_space(read_space(order, self.shape))
+            self._branches = {}
+            self._received = self._handed_on = 0
+            self.refused.clear()
+        elif do == "build":
+            self.tracer.build()
+        elif do == "frame":
+            self.tracer.set_frame(read_frame(order))
+        elif do == "trace":
+            quota = order.get("quota")
+            if type(quota) is not int or not 0 <= quota < 2**32:
+                raise ProtocolError(f"a quota came as {quota!r}, wanted a whole number")
+            self.tracer.quota = quota
+        elif do == "collect":
+            self.tracer.collecting = np.int64(0)
+        elif do not in ("ready", "loaded", "report", "end"):
+            raise ProtocolError(f"an order came as {do!r}, wanted one that this node knows")
+
+    def _maybe_answer(self) -> None:
+        """Answer the wave once the children have and this node is ready to."""
+        if self._wave is None or len(self._answers) < len(self._children):
+            return
+        do = self._wave.get("do")
+        if any(link.state == State.NEW for link in self.links.values()):
+            return
+        # a held wave waits for idleness, so that waves are rare under load and quick at the end
+        if self._deadline and self.clock() < self._deadline and not self._idle():
+            return
+        answer = self._own_answer(str(do))
+        for other in self._answers:
+            _add_answer(answer, other)
+        answer["wave"] = self._wave.get("wave")
+        self._wave, self._deadline = None, 0.0
+        self.links[self._parent].send_order(MessageKind.UP, answer)
+        if do == "end":
+            self.ended = True
+            for link in self.links.values():
+                link.close()
+
+    def _idle(self) -> bool:
+        return not self.busy and not self._surfaces and all(link.waiting == 0 for link in self.links.values())
+
+    def _own_answer(self, do: str) -> dict[str, Any]:
+        tracer = self.tracer
+        waiting = tracer.backlog.held + int(tracer.outputs.held.sum())
+        extra = [
+            int(tracer.samples_left),
+            waiting,
+            self._received,
+            self._handed_on,
+            int(tracer.collecting >= 0),
+            sum(self.refused.values()),
+        ]
+        answer: dict[str, Any] = {"sums": [*tracer.counts.tolist(), *extra], "nodes": []}
+        answer["refusals"] = [f"{why} ({times} times)" for why, times in self.refused.most_common(3)]
+        if do == "report":
+            answer["nodes"] = [self.record()]
+        return answer
+
+    def record(self) -> dict[str, Any]:
+        """What this node says of itself, JSON-able."""
+        counts, tracer = self.tracer.counts, self.tracer
+        kinds = list(PacketKind)
+        return {
+            "index": list(self.index),
+            "pid": os.getpid(),
+            "surfaces": {kind.name.lower(): _held(tracer, kind) for kind in Kind},
+            "born": {kind.name.lower(): int(counts[BORN + kind]) for kind in kinds},
+            "died": {kind.name.lower(): int(counts[DIED + kind]) for kind in kinds},
+            "sent": [int(counts[SENT + port]) for port in range(PORTS)],
+            "tests": {kind.name.lower(): int(counts[TESTS + kind]) for kind in Kind},
+            "walks": int(counts[WALKS]),
+            "boxes": int(counts[BOXES]),
+            "hits": int(counts[HITS]),
+            "messages": sum(link.messages_sent for link in self.links.values()),
+            "bytes": sum(link.bytes_sent for link in self.links.values()),
+            "waiting": tracer.backlog.held + int(tracer.outputs.held.sum()),
+            "most_waiting": tracer.backlog.most_held,
+            "most_queued_messages": max((link.most_waiting for link in self.links.values()), default=0),
+            "memory": tracer.memory,
+            "cpu_seconds": time.process_time(),
+        }
+
+
+def _held(tracer: Tracer, kind: Kind) -> int:
+    return sum(len(batch) for batch in tracer.retained if batch.kind == kind)
+
+
+def _add_answer(answer: dict[str, Any], other: dict[str, Any]) -> None:
+    """Sum an answer of a child into one's own. Raises ProtocolError if it is not an answer."""
+    sums, nodes, refusals = other.get("sums"), other.get("nodes"), other.get("refusals")
+    if not isinstance(sums, list) or len(sums) != SUMS or not all(type(x) is int for x in sums):
+        raise ProtocolError("an answer came without its sums")
+    if not isinstance(nodes, list) or not isinstance(refusals, list):
+        raise ProtocolError("an answer came without its lists")
+    answer["sums"] = [a + b for a, b in zip(answer["sums"], sums, strict=True)]
+    answer["nodes"] = answer["nodes"] + nodes
+    answer["refusals"] = (answer["refusals"] + refusals)[:3]

@@ -1,0 +1,206 @@
+"""The work of one node: its surfaces, its pixels, its backlog, and the ray step over them. No links here."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .backlog import RAYS, SHADOWS, Backlog
+from .births import DONE, bear_primaries, new_cursor
+from .flood import own_part
+from .hierarchy import DEPTH
+from .holdings import build_surfaces, empty_surfaces
+from .lattice import Cell, Space, make_cell
+from .packets import PIXEL, SIZE, Limits
+from .pixels import make_pixels, send_pixels
+from .step import HEAD, make_outputs, step
+from .surfaces import Batch, SurfaceSet, merge
+from .tables import BORN, COUNTS, DIED, SENT, Frame, frame_limits
+from .walk import HOST, OUTPUTS, SELF, SELF_RAYS
+
+CHUNK = 4096  # packets in a call of the step: its overhead is paid, and links are looked at every few ms
+WORTHWHILE = 256  # packets for which a call is worth more than serving classes strictly in order
+ADMIT_BELOW = 1024  # primaries are born only while fewer rays than this wait
+ADMIT_AT_ONCE = 8192
+ROOM = 8192  # packets that an output holds
+
+
+class Tracer:
+    """State of one node between two messages.
+
+    counts     int64, see `node.tables`: what the machine did for this frame
+    quota      primaries that this node may still bear before it hears from the root again
+    """
+
+    def __init__(self, index: tuple[int, int, int], shape: tuple[int, int, int]) -> None:
+        self.index, self.shape = index, shape
+        self.space: Space | None = None
+        self.cell: Cell | None = None
+        self.frame: Frame | None = None
+        self.limits: Limits | None = None
+        self.retained: list[Batch] = []
+        self.surfaces = empty_surfaces()
+        self.backlog = Backlog()
+        self.outputs = make_outputs(ROOM, DEPTH)
+        self.counts = np.zeros(COUNTS, np.int64)
+        self.cursor = new_cursor(False)
+        self.quota = 0
+        self.collecting = np.int64(-1)  # place in the pixel store, -1: nothing to send
+        self.pixels = None
+
+    # --- set-up ------------------------------------------------------------------------------------
+
+    def set_space(self, space: Space) -> None:
+        """A new world: forget all surfaces."""
+        self.space, self.cell = space, make_cell(space, self.index)
+        self.retained, self.surfaces = [], empty_surfaces()
+        self.frame = self.limits = self.pixels = None
+
+    def retain(self, batch: Batch, boxes: np.ndarray) -> int:
+        """Keep the descriptions that touch this cell; returns how many."""
+        assert self.cell is not None
+        own = own_part(batch, boxes, self.cell)
+        if len(own):
+            self.retained.append(own)
+        return len(own)
+
+    def build(self) -> SurfaceSet:
+        """Make the tables of the ray step from what is retained; returns it as one batch a kind."""
+        assert self.cell is not None
+        held = merge(self.retained)
+        self.retained = list(held)
+        self.surfaces = build_surfaces(held, self.cell)
+        return held
+
+    def set_frame(self, frame: Frame) -> None:
+        """Begin a frame: an empty pixel store, no packets, all counts zero."""
+        assert self.space is not None and self.cell is not None
+        self.frame, self.limits = frame, frame_limits(frame, self.shape)
+        self.pixels = make_pixels(frame, self.space, self.cell)
+        self.cursor = new_cursor(len(self.pixels.first) > 0)
+        self.counts[:] = 0
+        self.quota, self.collecting = 0, np.int64(-1)
+        self.outputs.held[:] = 0
+        room = max(ROOM, 2 * (frame.n_lights + 2))
+        if self.outputs.data.shape[1] != HEAD + room * SIZE:
+            self.outputs = make_outputs(room, DEPTH)
+        for stack in self.backlog.stacks:
+            stack.clear()
+
+    # --- work --------------------------------------------------------------------------------------
+
+    @property
+    def samples_left(self) -> bool:
+        """Whether primaries of this node are still to be born."""
+        return bool(self.cursor[DONE] == 0)
+
+    @property
+    def has_work(self) -> bool:
+        """Whether `work` would do anything."""
+        return self.backlog.held > 0 or (self.quota > 0 and self.samples_left) or self.collecting >= 0
+
+    def work(self) -> None:
+        """One call of the step over the most urgent packets; first bear primaries if few rays wait."""
+        if self.frame is None:
+            return
+        if self.quota > 0 and self.samples_left and self.backlog.stacks[RAYS].held < ADMIT_BELOW:
+            self._admit()
+        stack = self.backlog.most_urgent(WORTHWHILE)
+        if stack is not None:
+            first = max(0, stack.held - CHUNK)
+            done = step(
+                self.cell,
+                self.space,
+                self.frame,
+                self.surfaces,
+                self.pixels,
+                stack.packets,
+                stack.ports,
+                first,
+                stack.held,
+                self.outputs,
+                self.counts,
+            )
+            stack.took(first, done)
+            self._take_own(SELF, SHADOWS)
+            self._take_own(SELF_RAYS, RAYS)
+            self.backlog.most_held = max(self.backlog.most_held, self.backlog.held)
+        elif self.collecting >= 0:
+            self._send_pixels()
+
+    def _admit(self) -> None:
+        stack = self.backlog.stacks[RAYS]
+        many = min(self.quota, ADMIT_AT_ONCE)
+        stack.make_room(many)
+        made = bear_primaries(
+            self.cell,
+            self.space,
+            self.frame,
+            self.pixels,
+            self.cursor,
+            stack.packets,
+            stack.held,
+            many,
+            self.counts,
+        )
+        stack.ports[stack.held : stack.held + made] = SELF
+        stack.grew(made)
+        self.quota -= made
+
+    def _take_own(self, output: int, stack: int) -> None:
+        """What starts in this node waits for the next call."""
+        held = int(self.outputs.held[output])
+        if held:
+            self.backlog.stacks[stack].push(self.outputs.data[output, HEAD : HEAD + held * SIZE], SELF)
+            self.outputs.held[output] = 0
+
+    def _send_pixels(self) -> None:
+        """Fill the output towards the nearest corner with pixel packets."""
+        assert self.frame is not None and self.cell is not None
+        output = corner_output(self.index, self.shape)
+        held = int(self.outputs.held[output])
+        room = (self.outputs.data.shape[1] - HEAD) // SIZE - held
+        made, self.collecting = send_pixels(
+            self.pixels,
+            self.frame.width,
+            self.collecting,
+            self.outputs.data[output],
+            HEAD + held * SIZE,
+            min(room, CHUNK),
+            self.counts,
+        )
+        self.outputs.held[output] += made
+        self.counts[SENT + output] += made
+        if output == HOST:
+            self.counts[DIED + PIXEL] += made
+
+    @property
+    def memory(self) -> dict[str, int]:
+        """Bytes by use: what the memory bound is about."""
+        surfaces = sum(table.nbytes for table in self.surfaces if table is not self.surfaces.ints)
+        described = sum(batch.data.nbytes + batch.ids.nbytes + batch.materials.nbytes for batch in self.retained)
+        pixels = 0 if self.pixels is None else self.pixels.sums.nbytes + self.pixels.samples.nbytes
+        return {
+            "surfaces": surfaces + described,
+            "pixels": pixels,
+            "backlog": self.backlog.bytes,
+            "outputs": self.outputs.data.nbytes,
+        }
+
+    @property
+    def primaries_born(self) -> int:
+        """How many samples this home has admitted."""
+        return int(self.counts[BORN + 1])
+
+
+def corner_output(index: tuple[int, int, int], shape: tuple[int, int, int]) -> int:
+    """The output on the way to the nearest corner (lower one on a tie), HOST at the corner."""
+    for axis in range(3):
+        near_low = 2 * index[axis] <= shape[axis] - 1
+        if near_low and index[axis] > 0:
+            return 2 * axis
+        if not near_low and index[axis] < shape[axis] - 1:
+            return 2 * axis + 1
+    return HOST
+
+
+assert OUTPUTS == SELF_RAYS + 1
