@@ -14,6 +14,7 @@ from raygrid.node.errors import SceneError
 
 Key = tuple[str | int, ...]
 
+LENGTHS = ("min_length", "max_length")
 HEADER = re.compile(r"\s*\[(\[?)\s*([^\]]+?)\s*\]")
 ASSIGNMENT = re.compile(r"\s*([\w.-]+|\"[^\"]*\")\s*=")
 
@@ -23,15 +24,15 @@ def checked(path: Path, text: str, tables: dict[str, Any]) -> SceneFile:
     try:
         return SceneFile.model_validate(tables)
     except ValidationError as error:
-        fault = error.errors(include_url=False)[0]
-        raise SceneError(_sentence(path, text, tables, fault)) from None
+        faults = error.errors(include_url=False)
+    # A misspelt key is also a missing one: the first says more.
+    unknown = [fault for fault in faults if fault["type"] == "extra_forbidden"]
+    raise SceneError(_sentence(path, text, tables, (unknown or faults)[0]))
 
 
 def _sentence(path: Path, text: str, tables: dict[str, Any], fault: Any) -> str:
     key, tag = _without_tags(fault["loc"], tables)
-    line = line_of(text, key)
-    where = f"{path}, line {line}" if line else str(path)
-    name = _shown_key(key)
+    where, name = located(path, text, key), shown_key(key)
     kind, message = fault["type"], fault["msg"]
     if kind == "missing":
         return f"{where}: {name} is missing"
@@ -44,6 +45,11 @@ def _sentence(path: Path, text: str, tables: dict[str, Any], fault: Any) -> str:
         wanted = ", ".join(kinds) if kinds != [""] else "a kind"
         return f"{where}: {name}.kind is {shown(came)}, wanted one of: {wanted}"
     wanted = re.sub(r"^(Value error, )?(Input should )?(be )?", "", message)
+    if kind in ("tuple_type", "list_type"):
+        wanted = "a list"
+    elif kind in ("too_short", "too_long"):
+        wanted = " and ".join(f"{word} {fault['ctx'][word]} items" for word in LENGTHS if word in fault["ctx"])
+        wanted = wanted.replace("min_length", "at least").replace("max_length", "at most")
     return f"{where}: {name} is {shown(fault['input'])}, wanted {wanted}"
 
 
@@ -72,7 +78,14 @@ def _keys(model: Any) -> list[str]:
     return names
 
 
-def _shown_key(key: Key) -> str:
+def located(path: Path, text: str, key: Key) -> str:
+    """The file, and the line of a key if it can be found, to begin a message with."""
+    line = line_of(text, key)
+    return f"{path}, line {line}" if line else str(path)
+
+
+def shown_key(key: Key) -> str:
+    """`surfaces[3].radius`"""
     text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in key)
     return text.removeprefix(".")
 

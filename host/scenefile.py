@@ -1,8 +1,8 @@
 """The scene file (TOML): our own format for scenes made of primitives and meshes, with materials, lights and camera.
 
-`scenefile_schema` says what may stand in it, this module turns it into a scene. Ids run through the included file, then
-[[surfaces]], then [[meshes]]. Errors name the file, the line if it can be found, the key, what came and what was wanted;
-only the first is told, since the others are often its consequences.
+`scenefile_schema` says what may stand in it, this module turns it into a scene. Ids run through the included file,
+then [[surfaces]], then [[meshes]]. Errors name the file, the line if it can be found, the key, what came and what was
+wanted; only the first is told, since the others are often its consequences.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from raygrid.host.scene_builder import SceneBuilder, material, read_bytes, shown
 from raygrid.host.scene_finish import finish_scene
 from raygrid.host.scene_lights import Table, directional_light, light_table, point_light, spot_light
 from raygrid.host.scene_mtl import GREY
-from raygrid.host.scene_toml_errors import checked
+from raygrid.host.scene_toml_errors import Key, checked, located, shown_key
 from raygrid.host.scene_transform import moved, placement
 from raygrid.node.errors import SceneError
 from raygrid.node.surfaces import F64, Kind
@@ -38,12 +38,13 @@ def load_scenefile(path: Path) -> Scene:
         tables = tomllib.loads(text.decode("utf-8"))
     except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
         raise SceneError(f"{path}: the TOML cannot be read ({error})") from None
-    return _Reader(path, checked(path, text.decode("utf-8"), tables)).scene()
+    return _Reader(path, text.decode("utf-8"), checked(path, text.decode("utf-8"), tables)).scene()
 
 
 class _Reader:
-    def __init__(self, path: Path, file: schema.SceneFile) -> None:
+    def __init__(self, path: Path, text: str, file: schema.SceneFile) -> None:
         self.path = path
+        self.text = text
         self.file = file
         self.builder = SceneBuilder(str(path))
         self.materials = {name: self._add_material(m) for name, m in file.materials.items()}
@@ -52,11 +53,13 @@ class _Reader:
     def scene(self) -> Scene:
         file, base = self.file, self._included()
         for number, surface in enumerate(file.surfaces):
-            self._add_surface(surface, f"surfaces[{number}]")
+            self._add_surface(surface, ("surfaces", number))
         for number, mesh in enumerate(file.meshes):
-            self._add_mesh(mesh, f"meshes[{number}]")
+            self._add_mesh(mesh, ("meshes", number))
         image = file.image or schema.Image()
-        size = (image.width, image.height) if file.image else base.size if base else None
+        size = base.size if base else None
+        if image.width is not None and image.height is not None:
+            size = (image.width, image.height)
         background = file.background or (base.background if base else (0.0, 0.0, 0.0))
         return finish_scene(
             self.builder,
@@ -71,8 +74,8 @@ class _Reader:
             min_weight=image.min_weight,
         )
 
-    def _error(self, message: str) -> SceneError:
-        return SceneError(f"{self.path}: {message}")
+    def _error(self, key: Key, message: str) -> SceneError:
+        return SceneError(f"{located(self.path, self.text, key)}: {shown_key(key)} {message}")
 
     def _included(self) -> Scene | None:
         """The scene that this one adds to: NFF only, since other readers invent cameras and lights."""
@@ -80,7 +83,9 @@ class _Reader:
             return None
         path = self.path.parent / self.file.include
         if path.suffix.lower() != ".nff":
-            raise self._error(f"include is {shown(self.file.include)}, wanted an .nff file; meshes go under [[meshes]]")
+            raise self._error(
+                ("include",), f"is {shown(self.file.include)}, wanted an .nff file; meshes go under [[meshes]]"
+            )
         base = load_scene(path)
         self._add_scene(base, np.eye(3), (0.0, 0.0, 0.0), None)
         return base
@@ -90,18 +95,18 @@ class _Reader:
             material(np.multiply(m.colour, m.diffuse), m.highlight, m.shine, m.specular, m.transmission, m.ior)
         )
 
-    def _material(self, name: str | None, where: str) -> int:
+    def _material(self, name: str | None, key: Key) -> int:
         if name is not None:
             if name not in self.materials:
                 known = ", ".join(self.materials) or "none, as the file has no [materials]"
-                raise self._error(f"{where}.material is {shown(name)}, wanted one of: {known}")
+                raise self._error((*key, "material"), f"is {shown(name)}, wanted one of: {known}")
             return self.materials[name]
         if self.grey is None:
             self.grey = self.builder.add_materials(GREY)
         return self.grey
 
-    def _add_surface(self, surface: schema.Surface, where: str) -> None:
-        number = self._material(surface.material, where)
+    def _add_surface(self, surface: schema.Surface, key: Key) -> None:
+        number = self._material(surface.material, key)
         if isinstance(surface, schema.Polygon | schema.Box):
             polygons = _box(surface) if isinstance(surface, schema.Box) else np.array([surface.points])
             starts = np.arange(len(polygons) + 1, dtype=np.int64) * polygons.shape[1]
@@ -112,9 +117,9 @@ class _Reader:
             corners = np.array([*surface.points, *(surface.normals or ())])
             self.builder.add(Kind.SMOOTH if surface.normals else Kind.TRIANGLE, corners.reshape(1, -1), number)
         else:
-            self._add_cone(surface, where, number)
+            self._add_cone(surface, key, number)
 
-    def _add_cone(self, surface: schema.Cylinder | schema.Cone, where: str, number: int) -> None:
+    def _add_cone(self, surface: schema.Cylinder | schema.Cone, key: Key, number: int) -> None:
         if isinstance(surface, schema.Cylinder):
             wide, narrow = (*surface.base, surface.radius), (*surface.top, surface.radius)
         else:
@@ -122,21 +127,21 @@ class _Reader:
         if abs(narrow[3]) > abs(wide[3]):
             wide, narrow = narrow, wide
         if wide[:3] == narrow[:3]:
-            raise self._error(f"{where} has both ends at {list(wide[:3])}, wanted two points")
+            raise self._error(key, f"has both ends at {list(wide[:3])}, wanted two points")
         if wide[3] * narrow[3] < 0.0 or wide[3] == 0.0:
-            raise self._error(f"{where} has the radii {wide[3]} and {narrow[3]}, wanted one sign and not both 0")
+            raise self._error(key, f"has the radii {wide[3]} and {narrow[3]}, wanted one sign and not both 0")
         kind = Kind.CYLINDER if wide[3] == narrow[3] else Kind.CONE
         self.builder.add(kind, np.array([[*wide, *narrow]]), number)
 
-    def _add_mesh(self, mesh: schema.Mesh, where: str) -> None:
+    def _add_mesh(self, mesh: schema.Mesh, key: Key) -> None:
         path = self.path.parent / mesh.file
         if path.suffix.lower() == ".toml":
-            raise self._error(f"{where}.file is {shown(mesh.file)}, wanted a file that is no scene file itself")
-        override = None if mesh.material is None else self._material(mesh.material, where)
+            raise self._error((*key, "file"), f"is {shown(mesh.file)}, wanted a file that is no scene file itself")
+        override = None if mesh.material is None else self._material(mesh.material, key)
         try:
             self._add_scene(load_scene(path), placement(mesh.scale, mesh.rotate), mesh.translate, override)
         except SceneError as error:
-            raise self._error(f"{where}: {error}") from None
+            raise self._error((*key, "file"), f"cannot be placed: {error}") from None
 
     def _add_scene(self, scene: Scene, matrix: F64, shift: tuple[float, ...], override: int | None) -> None:
         """Add the surfaces of another file, with its own materials or one for all."""
@@ -164,7 +169,7 @@ class _Reader:
                 return orthographic_camera(c.eye, c.at, c.up, c.orthographic)
             return perspective_camera(c.eye, c.at, c.up, DEFAULT_FOV if c.fov is None else c.fov)
         except SceneError as error:
-            raise self._error(str(error)) from None
+            raise self._error(("camera",), f"shows nothing: {error}") from None
 
 
 def _light(light: schema.Light) -> Table:

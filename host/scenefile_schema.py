@@ -66,11 +66,17 @@ class Table(BaseModel):
 class Image(Table):
     """[image]"""
 
-    width: Annotated[Whole, Field(ge=1, le=MAX_SIDE)] = 512
-    height: Annotated[Whole, Field(ge=1, le=MAX_SIDE)] = 512
+    width: Annotated[Whole, Field(ge=1, le=MAX_SIDE)] | None = None
+    height: Annotated[Whole, Field(ge=1, le=MAX_SIDE)] | None = None
     samples: Annotated[Whole, Field(ge=1, le=MAX_SIDE)] | None = None
     depth: Annotated[Whole, Field(ge=1, le=MAX_DEPTH)] | None = None
     min_weight: NotBelow0 | None = None
+
+    @model_validator(mode="after")
+    def _both_sides(self) -> Image:
+        if (self.width is None) != (self.height is None):
+            raise ValueError("Input should be both width and height, or neither")
+        return self
 
 
 class Camera(Table):
@@ -238,9 +244,14 @@ TABLES: dict[str, type[Table]] = {
     "camera": Camera,
     "materials": Material,
     "meshes": Mesh,
-    **{model.model_fields["kind"].annotation.__args__[0]: model for model in (PointLight, SpotLight, DirectionalLight)},
-    **{
-        model.model_fields["kind"].annotation.__args__[0]: model
-        for model in (Sphere, Cylinder, Cone, Triangle, Polygon, Box)
-    },
+    "point": PointLight,
+    "spot": SpotLight,
+    "directional": DirectionalLight,
+    "sphere": Sphere,
+    "cylinder": Cylinder,
+    "cone": Cone,
+    "triangle": Triangle,
+    "polygon": Polygon,
+    "box": Box,
 }
+"""The model of each table, by its name or its kind: for telling which keys it has."""

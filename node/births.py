@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from .camera import entry, eye_ray, home, image_point
-from .compiled import kernel
+from .compiled import lean
 from .packets import PRIMARY, SIZE, octahedral, pack_weight, put_ray
 from .pixels import slot
 from .tables import BORN
@@ -29,7 +29,7 @@ def new_cursor(has_pixels: bool) -> np.ndarray:
     return cursor
 
 
-@kernel
+@lean
 def bear_primaries(cell, space, frame, pixels, cursor, packets, first, room, counts):
     """Write up to `room` primary rays to `packets` (uint8) from packet number `first`; returns how many.
 
@@ -61,7 +61,7 @@ def bear_primaries(cell, space, frame, pixels, cursor, packets, first, room, cou
     return made
 
 
-@kernel
+@lean
 def _next_level(frame, cursor):
     cursor[ROW] = 0
     cursor[LEVEL] -= 1
@@ -72,7 +72,7 @@ def _next_level(frame, cursor):
             cursor[DONE] = 1
 
 
-@kernel
+@lean
 def _bear(cell, space, frame, pixels, i, j, number, packets, k, white, counts):
     """Write the primary ray of one sample if its home is here; returns 1 or 0."""
     sample = (j * frame.width + i) * frame.samples + number

@@ -2,6 +2,18 @@
 
 `kernel` is called from Python; `part` is a piece of a kernel and is inlined into it, because a call
 that hands on tables of surfaces would copy all their descriptors to the stack each time.
+
+`lean` is a kernel without reference counts, and so is every part. numba counts references to each array
+wherever one is handed on or a row of it is named: 801 calls of atomic instructions in the machine code of
+the ray step, 350 ns a ray of 450 outside the hierarchy, 3.2 to 4.0 times the whole (balls 1.03 s to 0.31 s,
+gears 1.89 s to 0.47 s). Arrays handed in from Python are held by the caller for as long as the kernel runs,
+so nothing needs to be counted, as long as a `lean` or a `part`
+
+    - makes no array (numba refuses to compile that: "Require NRT"),
+    - and hands no array back to a `kernel`, which would release what nobody holds. From `part` to `lean`
+      it may.
+
+`_nrt` is numba's own name for it; it has been there since 2015 but is not documented.
 """
 
 from __future__ import annotations
@@ -15,13 +27,18 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def kernel(function: F) -> F:
-    """Compile a function that Python calls."""
+    """Compile a function that Python calls and that may make arrays."""
     return cast(F, njit(cache=True, error_model="numpy", fastmath=False)(function))
+
+
+def lean(function: F) -> F:
+    """Compile a function that Python calls and that makes no array."""
+    return cast(F, njit(cache=True, error_model="numpy", fastmath=False, _nrt=False)(function))
 
 
 def part(function: F) -> F:
     """Compile a function that kernels call; always inlined."""
-    return cast(F, njit(cache=True, error_model="numpy", fastmath=False, forceinline=True)(function))
+    return cast(F, njit(cache=True, error_model="numpy", fastmath=False, forceinline=True, _nrt=False)(function))
 
 
 def piece(function: F) -> F:

@@ -35,6 +35,7 @@ from .packets import FAULTS, PacketKind
 from .surfaces import Kind
 from .tables import BORN, BOXES, COUNTS, DIED, HITS, SENT, TESTS, WALKS
 from .tracer import Tracer
+from .usage import peak_memory, private_memory
 from .walk import HOST, PORTS
 
 FLUSH = 256  # packets for which an output is sent although there is work; less is sent when idle
@@ -74,6 +75,7 @@ class Processor:
         self._deadline = 0.0
         self._received = self._handed_on = 0
         self.refused: Counter[str] = Counter()
+        self._cpu_at_frame = 0.0
 
     # --- the thin loop's three calls ---------------------------------------------------------------
 
@@ -200,6 +202,7 @@ class Processor:
         elif do == "build":
             self.tracer.build()
         elif do == "frame":
+            self._cpu_at_frame = time.process_time()
             self.tracer.set_frame(read_frame(order))
         elif do == "trace":
             quota = order.get("quota")
@@ -273,7 +276,10 @@ class Processor:
             "most_waiting": tracer.backlog.most_held,
             "most_queued_messages": max((link.most_waiting for link in self.links.values()), default=0),
             "memory": tracer.memory,
-            "cpu_seconds": time.process_time(),
+            "busy_seconds": round(time.process_time() - self._cpu_at_frame, 6),
+            "cpu_seconds": round(time.process_time(), 6),
+            "peak_memory": peak_memory(),
+            "private_memory": private_memory(),
         }
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .camera import home_of_sample
-from .compiled import kernel, part
+from .compiled import lean, part
 from .lattice import LIFT, T_MIN, nearest
 from .packets import (
     PIXEL,
@@ -350,7 +350,7 @@ def fullest(held):
     return most
 
 
-@kernel
+@lean
 def step(cell, space, frame, surfaces, pixels, packets, ports, first, last, outputs, counts):
     """Process packets first..last-1 of `packets` (uint8, 25 bytes each) that came by `ports` (uint8).
 

@@ -1,0 +1,180 @@
+"""The array of real processes: launch, drive, end.
+
+    with Array.launch((2, 2, 2)) as array:
+        array.driver.load(space, surfaces)
+        array.driver.trace(frame)
+        sums, samples = array.driver.collect(frame.width * frame.height)
+
+`begin` starts the nursery and returns at once, so that a scene can be read meanwhile; `launch` waits.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import secrets
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any
+
+import zmq
+
+from raygrid.node.errors import ArrayError, LostProcess, RaygridError
+from raygrid.node.flood import corners
+from raygrid.node.pair import Pair
+from raygrid.node.walk import HOST
+
+from .driver import PATIENCE, Driver
+from .launch import Ended, Nursery, Warming
+from .limits import check_fits
+from .places import Place
+from .topology import Index, host_links, indices, neighbour_links
+
+BATCH = 1024  # most packets a message
+EPOCH = 0
+WARM_SECONDS = 300.0  # a first run compiles; nothing takes longer than this on a slow machine
+END_SECONDS = 5.0
+
+
+class Array:
+    """An array of node processes on this computer. Use as a context manager; nothing is left behind.
+
+    shape    processors on each axis
+    batch    most packets a message, 1 or more
+    patience seconds without any progress after which the array is taken to hang
+    """
+
+    def __init__(
+        self,
+        shape: Index,
+        batch: int = BATCH,
+        patience: float = PATIENCE,
+        on_warming: Callable[[int, int, str], None] | None = None,
+    ) -> None:
+        check_fits(shape)
+        self.shape, self.batch, self.patience = shape, batch, patience
+        self._on_warming = on_warming
+        self._nursery: Nursery | None = None
+        self._place: Place | None = None
+        self._context: zmq.Context[Any] | None = None
+        self._pairs: dict[int, Pair] = {}
+        self._poller = zmq.Poller()
+        self._driver: Driver | None = None
+        self._closing = False
+        self.pids: list[int] = []
+
+    @classmethod
+    def launch(cls, shape: Index, **options: Any) -> Array:
+        """A ready array. Options as for the class. Raises TooLarge, ArrayError."""
+        array = cls(shape, **options)
+        try:
+            array.begin()
+            array.wait_ready()
+        except BaseException:
+            array.close()
+            raise
+        return array
+
+    @property
+    def driver(self) -> Driver:
+        """What loads, traces and collects. Raises ArrayError if the array is not ready."""
+        if self._driver is None:
+            raise ArrayError("the array is not ready: it was not launched, or it was closed")
+        return self._driver
+
+    def begin(self) -> None:
+        """Start the nursery, which warms up while the caller does other things."""
+        self._place = Place.create(self.shape)
+        self._nursery = Nursery.start(on_warming=self._on_warming)
+
+    def wait_ready(self) -> None:
+        """Fork the nodes once the nursery is warm, and wait until every link is up."""
+        if self._nursery is None or self._place is None:
+            raise ArrayError("the array has not begun")
+        self._nursery.wait_warm(WARM_SECONDS)
+        machine = secrets.token_hex(8)
+        self.pids = self._nursery.launch(self._configs(machine))
+        self._context = zmq.Context(io_threads=1)
+        for corner, index in corners(self.shape).items():
+            pair = Pair(self._context, self._place.host_endpoint(EPOCH, index), bind=True)
+            self._pairs[corner] = pair
+            self._poller.register(pair.socket, zmq.POLLIN)
+        self._poller.register(self._nursery.fileno(), zmq.POLLIN)
+        links = host_links(self.shape, self._pairs, machine, EPOCH)
+        self._driver = Driver(self.shape, links, self._pump, self.patience)
+        self._driver.ready()
+
+    def _configs(self, machine: str) -> list[dict[str, Any]]:
+        """What each node is told: itself, its ports and their endpoints, and nothing of any other node."""
+        assert self._place is not None
+        place = self._place
+        links: dict[Index, list[dict[str, Any]]] = {index: [] for index in indices(self.shape)}
+        for wire in neighbour_links(self.shape):
+            endpoint = place.endpoint(EPOCH, wire.lower, wire.axis)
+            links[wire.lower].append({"port": wire.lower_port, "endpoint": endpoint, "bind": True})
+            links[wire.upper].append({"port": wire.upper_port, "endpoint": endpoint, "bind": False})
+        for index in corners(self.shape).values():
+            links[index].append({"port": HOST, "endpoint": place.host_endpoint(EPOCH, index), "bind": False})
+        return [
+            {
+                "index": list(index),
+                "shape": list(self.shape),
+                "epoch": EPOCH,
+                "machine": machine,
+                "batch": self.batch,
+                "links": links[index],
+            }
+            for index in indices(self.shape)
+        ]
+
+    def _pump(self, seconds: float) -> None:
+        """Wait for messages of corners and events of processes, and take them in."""
+        corner_of = {pair.socket: corner for corner, pair in self._pairs.items()}
+        for ready, _ in self._poller.poll(int(seconds * 1000)):
+            if ready in corner_of:
+                self.driver.receive(corner_of[ready])
+            else:
+                self._take_events()
+        for link in self.driver.links.values():
+            if link.choked:
+                link.push()
+
+    def _take_events(self) -> None:
+        assert self._nursery is not None
+        for event in self._nursery.read_events():
+            if isinstance(event, Ended) and not (self._closing and event.code == 0):
+                raise LostProcess(f"node {','.join(map(str, event.index))} (pid {event.pid}) ended: {event.why}")
+            if isinstance(event, Warming) and self._on_warming is not None:
+                self._on_warming(event.done, event.total, event.what)
+
+    def close(self) -> None:
+        """End all processes, close all sockets, remove all files. May be called twice, and at any time."""
+        self._closing = True
+        try:
+            if self._driver is not None:
+                with contextlib.suppress(RaygridError):
+                    self._driver.patience = min(self._driver.patience, END_SECONDS)
+                    self._driver.end()
+        finally:
+            self._driver = None
+            for pair in self._pairs.values():
+                pair.close()
+            self._pairs = {}
+            if self._context is not None:
+                self._context.destroy(linger=0)
+                self._context = None
+            if self._nursery is not None:
+                self._nursery.end(END_SECONDS)
+                self._nursery = None
+            if self._place is not None:
+                self._place.remove()
+                self._place = None
+
+    def __enter__(self) -> Array:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is not None:
+            self._driver = None  # nothing more is asked of an array that failed
+        self.close()

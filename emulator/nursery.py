@@ -1,0 +1,392 @@
+"""The nursery: a small process from which all nodes are forked, run as `python -m raygrid.emulator.nursery FD`.
+
+Why not fork the front end: it may have threads, a ZeroMQ context, a scene and a display; a fork of all that is slow
+at best. Why not spawn: a node would pay 75 MB and 1.5 s of CPU time. So this process imports the node program, warms
+it (every kernel called once), and then does nothing but fork, reap and report. It is single-threaded, and Ctrl-C in
+the terminal does not reach it, as it has its own session.
+
+Commands and reports are msgpack maps behind a length (u32, little-endian) on the socket FD:
+
+    command                            reports
+                                       {is: warming, done, total, what}      while it warms
+                                       {is: warm}                            once
+    {do: launch, configs: [map, ...]}  {is: launched, pids: [...]} or {is: refused, why}
+                                       {is: ended, pid, index, status}       status < 0: minus the signal
+    {do: end}                          the socket closes when all nodes are reaped
+
+Nobody outlives the front end: when its process or the socket is gone, the nursery ends all nodes and itself. Nobody
+outlives the nursery: only it holds the write end of the `life` pipe, of which each node holds the read end and ends
+when it closes; and the kernel sends each node SIGTERM if the nursery dies, for a node that is busy in a kernel.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ctypes
+import faulthandler
+import gc
+import importlib
+import os
+import selectors
+import signal
+import socket
+import struct
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from contextlib import suppress
+from fcntl import F_GETFL, F_SETFL, F_SETOWN, fcntl
+from typing import Any, NoReturn
+
+import msgpack
+
+from raygrid.node.errors import ProtocolError, RaygridError
+
+from . import places
+
+Index = tuple[int, int, int]
+Message = dict[str, Any]
+Run = Callable[[Message, int], None]
+
+LENGTH = struct.Struct("<I")
+LONGEST_MESSAGE = 1 << 28  # bytes
+LONGEST_LINE = 2000  # bytes; up to 4096 a write to a pipe is not torn
+GRACE = 1.0  # seconds from SIGTERM to SIGKILL
+LAST_WAIT = 5.0  # seconds for the kernel to finish what was killed
+PR_SET_PDEATHSIG = 1
+DEBUG = "RAYGRID_DEBUG"  # set: tracebacks of errors, and of crashes in compiled code
+
+
+class Wire:
+    """Messages over a stream socket, without ever blocking; both ends use it.
+
+    closed    nothing more will come
+    unsent    bytes that wait for room
+    """
+
+    def __init__(self, stream: socket.socket) -> None:
+        stream.setblocking(False)
+        self.socket = stream
+        self.closed = False
+        self._out = bytearray()
+        self._in = bytearray()
+
+    @property
+    def unsent(self) -> int:
+        """Bytes that wait for room in the socket."""
+        return len(self._out)
+
+    def send(self, message: Message) -> None:
+        """Send now or, by later calls of flush, when there is room. Raises ProtocolError if it is too long."""
+        body = msgpack.packb(message)
+        if len(body) > LONGEST_MESSAGE:
+            raise ProtocolError(f"a message to or from the nursery has {len(body)} bytes, at most {LONGEST_MESSAGE}")
+        self._out += LENGTH.pack(len(body)) + body
+        self.flush()
+
+    def flush(self) -> None:
+        """Send what waits, as far as there is room."""
+        while self._out:
+            try:
+                sent = self.socket.send(self._out, socket.MSG_NOSIGNAL)
+            except BlockingIOError:
+                return
+            except (BrokenPipeError, ConnectionResetError):
+                self._out.clear()  # receive will find the end, after what had come before it
+                return
+            del self._out[:sent]
+
+    def receive(self) -> list[Message]:
+        """All messages that have come. Raises ProtocolError if they are no messages."""
+        while not self.closed:
+            try:
+                piece = self.socket.recv(1 << 16)
+            except BlockingIOError:
+                break
+            except ConnectionResetError:
+                piece = b""
+            self.closed = not piece
+            self._in += piece
+        return self._whole_messages()
+
+    def _whole_messages(self) -> list[Message]:
+        messages: list[Message] = []
+        while len(self._in) >= LENGTH.size:
+            (length,) = LENGTH.unpack_from(self._in)
+            if length > LONGEST_MESSAGE:
+                raise ProtocolError(f"a message of {length} bytes came, wanted at most {LONGEST_MESSAGE}")
+            end = LENGTH.size + length
+            if len(self._in) < end:
+                break
+            # Lists come out as tuples: coordinates are then the same on both sides, and nobody changes a config.
+            message = msgpack.unpackb(self._in[LENGTH.size : end], use_list=False, strict_map_key=False)
+            del self._in[:end]
+            if not isinstance(message, dict):
+                raise ProtocolError(f"a message came as {type(message).__name__}, wanted a map")
+            messages.append(message)
+        return messages
+
+
+class ForkServer:
+    """The nursery's loop: obey, fork, reap, report.
+
+    children   the living nodes, process id -> index
+    """
+
+    def __init__(self, wire: Wire, run: Run, front_end: int, directory: str | None) -> None:
+        self.wire = wire
+        self.children: dict[int, Index] = {}
+        self._run = run
+        self._directory = directory
+        self._ending = self._orphaned = False
+        self._life, self._life_writer = os.pipe()
+        self._wakeup, self._wakeup_writer = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._wakeup, selectors.EVENT_READ)
+        self._selector.register(wire.socket, selectors.EVENT_READ)
+        # A fork of the front end that outlives it keeps the socket open, so the process itself is watched as well.
+        self._front_end = open_pidfd(front_end)
+        if self._front_end is not None:
+            self._selector.register(self._front_end, selectors.EVENT_READ)
+
+    def serve(self) -> None:
+        """Obey until told to end or until the front end is gone; then end all nodes and reap them."""
+        signal.set_wakeup_fd(self._wakeup_writer, warn_on_full_buffer=False)
+        signal.signal(signal.SIGCHLD, lambda *_: None)  # only a signal with a handler wakes up
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, self._told_to_end)
+        try:
+            while not self._ending:
+                self._turn(None)
+        finally:
+            self._end_children()
+            if self._orphaned and self._directory is not None:
+                places.remove(self._directory)  # the front end cannot do it any more
+
+    def _told_to_end(self, *_: object) -> None:
+        self._ending = True
+
+    def _turn(self, timeout: float | None) -> None:
+        """Wait for a command, for the end of a node or of the front end, and attend to it."""
+        for key, ready in self._selector.select(timeout):
+            if key.fd == self._wakeup:
+                with suppress(BlockingIOError):
+                    os.read(self._wakeup, 1 << 16)
+            elif key.fd == self._front_end:
+                self._lose_front_end(self._front_end)
+            else:
+                self._attend(ready)
+        self._reap()
+        if not self.wire.closed:
+            writing = selectors.EVENT_WRITE if self.wire.unsent else 0
+            self._selector.modify(self.wire.socket, selectors.EVENT_READ | writing)
+
+    def _attend(self, ready: int) -> None:
+        if ready & selectors.EVENT_WRITE:
+            self.wire.flush()
+        for message in self.wire.receive():
+            self._obey(message)
+        if self.wire.closed:
+            self._lose_front_end(self.wire.socket)
+
+    def _lose_front_end(self, sign: int | socket.socket) -> None:
+        self._selector.unregister(sign)
+        self._orphaned = self._orphaned or not self._ending
+        self._ending = True
+
+    def _obey(self, message: Message) -> None:
+        if message.get("do") == "launch" and not self._ending:
+            self._launch(message["configs"])
+        elif message.get("do") == "end":
+            self._ending = True
+        else:
+            self.wire.send({"is": "refused", "why": f"the nursery cannot {message.get('do')!r} now"})
+
+    # --- nodes -----------------------------------------------------------------------------------
+
+    def _launch(self, configs: tuple[Message, ...]) -> None:
+        """Fork a node for each config: all, or none."""
+        pids: list[int] = []
+        try:
+            for config in configs:
+                pids.append(self._fork(config))  # noqa: PERF401  (those before a failure must be known)
+        except OSError as error:
+            for pid in pids:
+                os.kill(pid, signal.SIGKILL)
+                os.waitpid(pid, 0)
+            why = f"node {len(pids) + 1} of {len(configs)} could not be forked: {error.strerror}"
+            self.wire.send({"is": "refused", "why": why})
+            return
+        self.children.update((pid, config["index"]) for pid, config in zip(pids, configs, strict=True))
+        self.wire.send({"is": "launched", "pids": pids})
+
+    def _fork(self, config: Message) -> int:
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(Exception):
+                stream.flush()  # or each child would write it again
+        # A signal between the fork and the child's own dispositions must not run the nursery's handlers.
+        held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGHUP, signal.SIGCHLD})
+        try:
+            nursery = os.getpid()
+            pid = os.fork()
+            if pid == 0:
+                self._be_node(config, nursery)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, held)
+        return pid
+
+    def _be_node(self, config: Message, nursery: int) -> NoReturn:
+        """In the child: run the node program to its end. Never returns into the nursery's frames."""
+        code = 1
+        try:
+            self._forget_nursery(nursery)
+            self._run(config, self._life)
+            code = 0
+        except BaseException as error:
+            say(f"raygrid node {','.join(map(str, config['index']))}", error)
+        finally:
+            for stream in (sys.stdout, sys.stderr):
+                with suppress(Exception):
+                    stream.flush()
+            os._exit(code)
+
+    def _forget_nursery(self, nursery: int) -> None:
+        """In the child: give up all that is the nursery's, keeping descriptors 0, 1, 2 and `life`."""
+        end_with_parent(nursery)
+        signal.set_wakeup_fd(-1)
+        for number in (signal.SIGCHLD, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.SIG_DFL)
+        # Through their objects first: one closed later by the collector would take a node's socket with it.
+        self._selector.close()
+        self.wire.socket.close()
+        for descriptor in (self._life_writer, self._wakeup, self._wakeup_writer, self._front_end):
+            if descriptor is not None:
+                os.close(descriptor)
+        os.closerange(3, self._life)
+        os.closerange(max(self._life + 1, 3), os.sysconf("SC_OPEN_MAX"))
+        signal.pthread_sigmask(signal.SIG_SETMASK, set())
+
+    def _reap(self) -> None:
+        """Report all nodes that have ended."""
+        while self.children:
+            pid, status = os.waitpid(-1, os.WNOHANG)
+            if pid == 0:
+                return
+            index = self.children.pop(pid, None)
+            if index is not None:
+                code = os.waitstatus_to_exitcode(status)
+                self.wire.send({"is": "ended", "pid": pid, "index": index, "status": code})
+
+    def _end_children(self) -> None:
+        """End and reap all nodes, and give the front end a short time to read of it."""
+        os.close(self._life_writer)
+        for sign, bound in ((signal.SIGTERM, GRACE), (signal.SIGKILL, LAST_WAIT)):
+            for pid in self.children:
+                os.kill(pid, sign)
+            deadline = time.monotonic() + bound
+            while self.children and (left := deadline - time.monotonic()) > 0:
+                self._turn(left)
+        deadline = time.monotonic() + GRACE
+        while self.wire.unsent and not self.wire.closed and (left := deadline - time.monotonic()) > 0:
+            self._turn(left)
+
+
+def open_pidfd(pid: int) -> int | None:
+    """A descriptor that can be read when the process has ended; None where the kernel has none or it has ended."""
+    try:
+        return os.pidfd_open(pid)
+    except OSError:
+        return None
+
+
+def end_with_parent(parent: int) -> None:
+    """Ask the kernel for SIGTERM when the parent ends, and end now if it has ended already."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGTERM), 0, 0, 0)
+    if os.getppid() != parent:
+        os._exit(1)
+
+
+def say(who: str, error: BaseException) -> None:
+    """Write an error to stderr as one line "who: what", behind its traceback if RAYGRID_DEBUG is set."""
+    if os.environ.get(DEBUG):
+        traceback.print_exception(error)
+    told = str(error) if isinstance(error, RaygridError) else f"{type(error).__name__}: {error}"
+    line = f"{who}: {' '.join(told.split())}".encode(errors="backslashreplace")
+    with suppress(OSError):
+        os.write(2, line[:LONGEST_LINE] + b"\n")
+
+
+def end_if_orphaned(control: socket.socket) -> None:
+    """End this process at once, also in the midst of compiling, when the other end of the socket closes."""
+
+    def look(*_: object) -> None:
+        try:
+            gone = not control.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            gone = False
+        except OSError:
+            gone = True
+        if gone:
+            os._exit(1)
+
+    signal.signal(signal.SIGIO, look)
+    fcntl(control, F_SETOWN, os.getpid())
+    fcntl(control, F_SETFL, fcntl(control, F_GETFL) | os.O_ASYNC)
+    look()
+
+
+def warm_up(wire: Wire, program: str, warm: str) -> Run:
+    """Import the node program and warm it, with a report a step; returns its `run`."""
+    end_if_orphaned(wire.socket)
+    run: Run = importlib.import_module(program).run
+    module, _, function = warm.partition(":")
+
+    def report(done: int, total: int, what: str) -> None:
+        wire.send({"is": "warming", "done": done, "total": total, "what": what})
+
+    getattr(importlib.import_module(module), function)(report)
+    fcntl(wire.socket, F_SETFL, fcntl(wire.socket, F_GETFL) & ~os.O_ASYNC)
+    signal.signal(signal.SIGIO, signal.SIG_IGN)
+    tasks = len(os.listdir("/proc/self/task"))
+    if tasks > 1:
+        say("raygrid nursery", RaygridError(f"warming left {tasks} threads, wanted 1: forks may hang"))
+    gc.collect()
+    gc.freeze()  # or the first collection in each node would write to, and so copy, all that is shared
+    wire.send({"is": "warm"})
+    return run
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The arguments that `launch.Nursery.start` passes."""
+    parser = argparse.ArgumentParser(prog="python -m raygrid.emulator.nursery", description=__doc__)
+    parser.add_argument("fd", type=int, metavar="FD", help="socket to the front end")
+    parser.add_argument("--front-end", type=int, default=os.getppid(), metavar="PID", help="process to outlive never")
+    parser.add_argument("--program", default="raygrid.node.main", metavar="MODULE", help="its run(config, life)")
+    parser.add_argument("--warm", default="raygrid.node.warm:warm", metavar="MODULE:FUNCTION")
+    parser.add_argument("--directory", metavar="DIR", help="socket directory to remove if the front end dies")
+    return parser
+
+
+def main(argv: list[str] | None = None) -> NoReturn:
+    """Warm, serve, and end."""
+    arguments = build_parser().parse_args(argv)
+    # A front end may have blocked or ignored signals, and both are inherited through exec.
+    signal.pthread_sigmask(signal.SIG_SETMASK, set())
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    if os.environ.get(DEBUG):
+        faulthandler.enable()
+    os.set_inheritable(arguments.fd, False)
+    wire = Wire(socket.socket(fileno=arguments.fd))
+    try:
+        run = warm_up(wire, arguments.program, arguments.warm)
+        ForkServer(wire, run, arguments.front_end, arguments.directory).serve()
+    except Exception as error:
+        say("raygrid nursery", error)
+        os._exit(1)
+    os._exit(0)  # without tearing down numba, which takes a tenth of a second
+
+
+if __name__ == "__main__":
+    main()

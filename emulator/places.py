@@ -1,0 +1,227 @@
+"""The private directory that holds the sockets of one array, and the names of the sockets in it.
+
+Whoever may open a socket may speak to a node, so the directory is ours alone (mode 0700), fresh, and has a name
+that cannot be guessed. An ipc path has at most 107 bytes, so it lies high up in the tree: in $XDG_RUNTIME_DIR if
+that can be used, else in the temporary directory, else in /tmp.
+
+A front end that was killed cannot clean up. So each directory names its front end in the file `pid`, as process id,
+start time (field 22 of /proc/PID/stat) and process namespace, and the next front end removes what is stale. The
+namespace is there because containers that share /tmp cannot see each other's processes and must not judge them.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import secrets
+import shutil
+import stat
+import tempfile
+import time
+from contextlib import suppress
+from types import TracebackType
+from typing import Self
+
+from raygrid.node.errors import ArrayError
+
+Index = tuple[int, int, int]
+
+PREFIX = "raygrid-"
+PID_FILE = "pid"
+LONGEST_PATH = 107  # bytes; sun_path holds 108 with its closing zero
+LAST_EPOCH = 0xFFFF  # the epoch of a message header is a u16
+UNSIGNED_AGE = 60.0  # seconds; a directory without a pid file may be one that is just being made
+
+
+def endpoint(directory: str, epoch: int, index: Index, axis: int) -> str:
+    """The name of the link between the node at `index` and its + neighbour on `axis` (0, 1, 2).
+
+    The epoch is part of it, because an endpoint is never used twice.
+    """
+    x, y, z = index
+    return f"ipc://{directory}/{epoch}-{x},{y},{z}{'xyz'[axis]}"
+
+
+def host_endpoint(directory: str, epoch: int, corner: Index) -> str:
+    """The name of the link between the host and the corner node at index `corner`."""
+    x, y, z = corner
+    return f"ipc://{directory}/{epoch}-{x},{y},{z}h"
+
+
+def longest_path(directory: str, shape: Index) -> int:
+    """Bytes of the longest socket path that an array of this shape can need in `directory`, in any epoch."""
+    last = (shape[0] - 1, shape[1] - 1, shape[2] - 1)
+    names = (endpoint(directory, LAST_EPOCH, last, 0), host_endpoint(directory, LAST_EPOCH, last))
+    return max(len(os.fsencode(name.removeprefix("ipc://"))) for name in names)
+
+
+class Place:
+    """The socket directory of one array, removed with all that is in it at the end of the `with` block.
+
+    path    the directory
+    """
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+        self._owner = os.getpid()
+        atexit.register(self.remove)
+
+    @classmethod
+    def create(cls, shape: Index) -> Place:
+        """Make a directory whose paths are short enough for the sockets of an array of `shape`.
+
+        Also removes the directories that dead front ends left beside it.
+        Raises ArrayError, naming each directory tried and what is wrong with it.
+        """
+        refused = []
+        for base in bases():
+            why = _unusable(base, shape)
+            if why is None:
+                sweep(base)
+                try:
+                    return cls(_make(base))
+                except OSError as error:
+                    why = error.strerror or str(error)
+            refused.append(f"{base} ({why})")
+        raise ArrayError(
+            f"no directory for the sockets of the array: {', '.join(refused)}; wanted one that is ours or sticky,"
+            " can be written, and is short: set XDG_RUNTIME_DIR or TMPDIR"
+        )
+
+    def remove(self) -> None:
+        """Remove the directory; does nothing if it is gone, or in a fork of the process that made it."""
+        atexit.unregister(self.remove)
+        if os.getpid() == self._owner:
+            remove(self.path)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.remove()
+
+
+def bases() -> list[str]:
+    """The directories in which a socket directory may be made, best first."""
+    found = [os.environ.get("XDG_RUNTIME_DIR", ""), os.path.realpath(tempfile.gettempdir()), os.path.realpath("/tmp")]
+    return list(dict.fromkeys(base for base in found if base))
+
+
+def remove(directory: str) -> None:
+    """Remove a socket directory. Refuses quietly what is not a raygrid directory of ours, and never raises OSError."""
+    if os.path.basename(directory).startswith(PREFIX) and _is_our_directory(directory):
+        shutil.rmtree(directory, ignore_errors=True)
+
+
+def sweep(base: str) -> list[str]:
+    """Remove the socket directories in `base` whose front ends are dead; returns their paths. Never raises OSError."""
+    swept = []
+    with suppress(OSError), os.scandir(base) as entries:
+        for entry in entries:
+            if entry.name.startswith(PREFIX) and _is_our_directory(entry.path) and _is_stale(entry.path):
+                remove(entry.path)
+                swept.append(entry.path)
+    return swept
+
+
+def process_mark(pid: int) -> str | None:
+    """What tells process `pid` from all others: id, start time, namespace; None if there is no such process."""
+    try:
+        with open(f"/proc/{pid}/stat", "rb") as file:
+            # The second field is the program's name in brackets, and may itself hold blanks and brackets.
+            fields = file.read().rpartition(b")")[2].split()
+        started = fields[19].decode()
+    except (OSError, IndexError):
+        return None
+    return f"{pid} {started} {_namespace()}"
+
+
+def _namespace() -> str:
+    try:
+        return os.readlink("/proc/self/ns/pid")
+    except OSError:
+        return "unknown"
+
+
+def _is_stale(directory: str) -> bool:
+    """Whether the front end that made `directory` is certainly dead."""
+    try:
+        with open(os.path.join(directory, PID_FILE), encoding="ascii") as file:
+            mark = file.read(200)
+        pid, _, namespace = mark.split()
+    except FileNotFoundError:
+        return _age(directory) > UNSIGNED_AGE
+    except (OSError, ValueError):  # half written; UnicodeDecodeError is a ValueError
+        return _age(directory) > UNSIGNED_AGE
+    if namespace != _namespace() or not pid.isdigit():
+        return False
+    return process_mark(int(pid)) != mark.strip()
+
+
+def _age(directory: str) -> float:
+    """Seconds since something was made or removed in `directory`; 0 if it is gone."""
+    try:
+        return time.time() - os.lstat(directory).st_mtime
+    except OSError:
+        return 0.0
+
+
+def _is_our_directory(path: str) -> bool:
+    try:
+        status = os.lstat(path)
+    except OSError:
+        return False
+    return stat.S_ISDIR(status.st_mode) and status.st_uid == os.geteuid()
+
+
+def _unusable(base: str, shape: Index) -> str | None:
+    """Why no socket directory for `shape` can be made in `base`; None if it can."""
+    length = longest_path(os.path.join(base, _fresh_name()), shape)
+    if not os.path.isabs(base):
+        return "not an absolute path"
+    if length > LONGEST_PATH:
+        return f"its socket paths would have {length} bytes, at most {LONGEST_PATH} are allowed"
+    try:
+        base.encode()
+        status = os.lstat(base)
+    except UnicodeEncodeError:
+        return "not UTF-8"
+    except OSError as error:
+        return error.strerror or str(error)
+    if stat.S_ISLNK(status.st_mode):
+        return "a symbolic link"
+    if not stat.S_ISDIR(status.st_mode):
+        return "not a directory"
+    return _unsafe(base, status)
+
+
+def _unsafe(base: str, status: os.stat_result) -> str | None:
+    """Why a directory in `base` would not be safe from other users, or cannot be made."""
+    # The owner of a directory, and whoever may write in it unless it is sticky, can put another in place of ours.
+    if status.st_uid not in (0, os.geteuid()):
+        return f"owned by user {status.st_uid}"
+    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not status.st_mode & stat.S_ISVTX:
+        return "writable by others and not sticky"
+    if not os.access(base, os.W_OK | os.X_OK, effective_ids=True):
+        return "not writable"
+    return None
+
+
+def _fresh_name() -> str:
+    return PREFIX + secrets.token_hex(6)
+
+
+def _make(base: str) -> str:
+    """Make and sign a fresh directory in `base`. Raises OSError."""
+    path = os.path.join(base, _fresh_name())
+    os.mkdir(path, 0o700)  # fails if anything has that name, a dangling link too
+    try:
+        os.chmod(path, 0o700)  # a strange umask may have taken our own rights away
+        with open(os.path.join(path, PID_FILE), "x", encoding="ascii") as file:
+            file.write(f"{process_mark(os.getpid())}\n")
+    except BaseException:
+        remove(path)
+        raise
+    return path

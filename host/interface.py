@@ -1,0 +1,75 @@
+"""The Python interface: launch an array, render scenes on it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from raygrid.emulator.array import BATCH, Array
+from raygrid.emulator.driver import BUDGET, PATIENCE
+from raygrid.emulator.limits import parse_shape
+from raygrid.host.job import Settings, make_job
+from raygrid.host.load import load_scene
+from raygrid.host.picture import Picture
+from raygrid.host.render import Watch, render_job
+from raygrid.host.scene import Scene
+
+__all__ = ["Machine", "Picture", "Scene", "launch", "load_scene"]
+
+
+class Machine:
+    """A launched array. Use as a context manager; when it closes, no process, socket or file is left."""
+
+    def __init__(self, array: Array) -> None:
+        self._array = array
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Processors on each axis."""
+        return self._array.shape
+
+    @property
+    def pids(self) -> tuple[int, ...]:
+        """Process ids of the nodes, x fastest."""
+        return tuple(self._array.pids)
+
+    def render(
+        self, scene: Scene | str | Path, *, budget: int = BUDGET, watch: Watch | None = None, **settings: Any
+    ) -> Picture:
+        """Render a scene, or the file of one.
+
+        settings  size, samples, depth, min_weight, highlights, split; see `raygrid.host.job.Settings`
+        budget    packets in flight below which new primary rays are admitted
+        watch     called with (phase, progress) as the work goes on
+        Raises SceneError for a scene or settings that cannot be rendered, ArrayError if the array fails.
+        """
+        if not isinstance(scene, Scene):
+            scene = load_scene(scene)
+        return render_job(self._array.driver, make_job(scene, self.shape, Settings(**settings)), budget, watch)
+
+    def close(self) -> None:
+        """End the array. May be called twice."""
+        self._array.close()
+
+    def __enter__(self) -> Machine:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._array.__exit__(kind, error, trace)
+
+
+def launch(
+    shape: str | tuple[int, int, int] = "2x2x2", *, batch: int = BATCH, patience: float = PATIENCE
+) -> Machine:
+    """Launch an array of node processes on this computer, and wait until it is ready.
+
+    shape     processors on each axis, "2x2x2" or (2, 2, 2)
+    batch     most packets a message
+    patience  seconds without any progress after which the array is taken to hang
+    Raises ValueError for a shape that is none, TooLarge for one that does not fit this computer.
+    """
+    cells = parse_shape(shape if isinstance(shape, str) else "x".join(map(str, shape)))
+    return Machine(Array.launch(cells, batch=batch, patience=patience))

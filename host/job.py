@@ -1,0 +1,146 @@
+"""From a scene and settings to what an array needs: world, cells, surfaces and frame in machine coordinates."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raygrid.emulator.split import SPLITS, split
+from raygrid.host.scene import Scene
+from raygrid.node.errors import SceneError
+from raygrid.node.frame import POINT
+from raygrid.node.lattice import HALF, Space, World, world_around
+from raygrid.node.orders import MAX_SIDE
+from raygrid.node.packets import MAX_DEPTH, MAX_LIGHTS, MAX_SAMPLES
+from raygrid.node.surfaces import SurfaceSet
+from raygrid.node.tables import Frame, light_table, material_table
+
+DEFAULT_SIZE = (512, 512)
+DEFAULT_DEPTH = 5  # as the Standard Procedural Databases ask
+MAX_PIXELS = 1 << 28
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a scene is to be rendered. None: what the scene's file asks for, else the default.
+
+    size        width and height in pixels (512, 512)
+    samples     samples a pixel (1)
+    depth       depth of the last hit that is lit; the eye's ray has depth 1 (5)
+    min_weight  rays whose largest weight is below this are not born (0)
+    highlights  whether materials' highlights are used
+    split       "balanced" or "uniform"
+    """
+
+    size: tuple[int, int] | None = None
+    samples: int | None = None
+    depth: int | None = None
+    min_weight: float | None = None
+    highlights: bool | None = None
+    split: str = "balanced"
+
+
+@dataclass(frozen=True)
+class Job:
+    """A scene ready for an array of one shape."""
+
+    scene: Scene
+    world: World
+    space: Space
+    surfaces: SurfaceSet
+    frame: Frame
+    settings: Settings
+
+    @property
+    def pixels(self) -> int:
+        """How many pixels the picture has."""
+        return self.frame.width * self.frame.height
+
+
+def make_job(scene: Scene, shape: tuple[int, int, int], settings: Settings) -> Job:
+    """Raises SceneError for settings that cannot be."""
+    if len(scene.surfaces) == 0:
+        raise SceneError(f"{scene.name}: the scene has no surfaces")
+    if settings.split not in SPLITS:
+        raise SceneError(f"a split came as {settings.split!r}, wanted one of {', '.join(SPLITS)}")
+    world = world_around(scene.surfaces.bounds())
+    surfaces = world.surfaces(scene.surfaces)
+    space = split(settings.split, shape, world, surfaces)
+    return Job(scene, world, space, surfaces, _frame(scene, world, settings), settings)
+
+
+def _frame(scene: Scene, world: World, settings: Settings) -> Frame:
+    width, height = settings.size or scene.size or DEFAULT_SIZE
+    samples = settings.samples or scene.samples or 1
+    depth = settings.depth or scene.depth or DEFAULT_DEPTH
+    _check_size(width, height, samples, depth)
+    if len(scene.lights) > MAX_LIGHTS:
+        raise SceneError(f"{scene.name}: {len(scene.lights)} lights came, wanted at most {MAX_LIGHTS}")
+    highlights = scene.highlights if settings.highlights is None else settings.highlights
+    least = settings.min_weight if settings.min_weight is not None else scene.min_weight
+    materials = scene.materials.copy()
+    if not highlights:
+        materials["highlight"] = 0.0
+    lights = _machine_lights(scene.lights, world)
+    background = tuple(float(np.float32(value)) for value in scene.background)
+    return Frame(
+        _machine_camera(scene.camera.table(width, height), world),
+        material_table(materials),
+        light_table(lights),
+        len(lights),
+        (background[0], background[1], background[2]),
+        width,
+        height,
+        samples,
+        depth,
+        float(least or 0.0),
+        bool(np.any(lights["cos_disc"] <= 1.0)) if len(lights) else False,
+    )
+
+
+def _check_size(width: int, height: int, samples: int, depth: int) -> None:
+    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE and width * height <= MAX_PIXELS):
+        raise SceneError(
+            f"a size came as {width}x{height}, wanted sides of 1 to {MAX_SIDE} and at most {MAX_PIXELS:,} pixels"
+        )
+    if samples < 1 or width * height * samples > MAX_SAMPLES:
+        most = MAX_SAMPLES // (width * height)
+        raise SceneError(f"{samples} samples a pixel came, wanted 1 to {most} for {width}x{height} (sample numbers have 32 bits)")
+    if not 1 <= depth <= MAX_DEPTH:
+        raise SceneError(f"a depth came as {depth}, wanted 1 to {MAX_DEPTH}")
+
+
+def _machine_camera(camera: NDArray[Any], world: World) -> NDArray[np.float64]:
+    rows = np.stack([camera[0][name] for name in camera.dtype.names or ()]).astype(np.float64)
+    rows[0] = world.points(rows[0])
+    rows[1:3] *= world.scale
+    return rows
+
+
+def _machine_lights(lights: NDArray[Any], world: World) -> NDArray[Any]:
+    """Point lights move with the scene; an inverse square falls off over machine distances."""
+    moved = lights.copy()
+    points = moved["kind"] == POINT
+    moved["place"][points] = world.points(moved["place"][points])
+    moved["intensity"][moved["falloff"] == 1] *= world.scale**2
+    return moved
+
+
+def samples_expected(job: Job) -> int:
+    """About how many samples enter the world box: from a coarse grid of rays, for the progress bar."""
+    frame = job.frame
+    i = (np.arange(min(frame.width, 64)) + 0.5) * frame.width / min(frame.width, 64) - 0.5
+    j = (np.arange(min(frame.height, 64)) + 0.5) * frame.height / min(frame.height, 64) - 0.5
+    at = np.stack(np.meshgrid(np.ones(1), i, j, indexing="ij"), axis=-1).reshape(-1, 3)
+    at = np.stack((np.ones(len(at)), at[:, 1], at[:, 2]), axis=1)
+    origin, direction = at @ frame.camera[:3], at @ frame.camera[3:]
+    half = HALF * np.array(job.space.step)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = (-half - origin) / direction, (half - origin) / direction
+    near, far = np.fmin(a, b).max(axis=1), np.fmax(a, b).min(axis=1)
+    share = np.count_nonzero(np.maximum(near, 0.0) <= far) / len(at)
+    return max(1, math.ceil(share * job.pixels * frame.samples))

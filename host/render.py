@@ -1,0 +1,68 @@
+"""Render a scene on an array: load, trace, collect, and say what happened."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raygrid.emulator.driver import BUDGET, Driver, Progress
+from raygrid.host.job import Job
+from raygrid.host.picture import Picture
+from raygrid.host.stats import make_stats
+from raygrid.node.errors import ArrayError
+from raygrid.node.pixels import MAX_INTENSITY, UNIT
+
+Watch = Callable[[str, Progress | None], None]
+
+
+def render_job(
+    driver: Driver, job: Job, budget: int = BUDGET, watch: Watch | None = None, loaded: bool = False
+) -> Picture:
+    """Render one frame. `watch(phase, progress)` is told of each phase, and of progress while tracing.
+
+    `loaded`: the array holds this job's surfaces already. Raises ArrayError and its kinds.
+    """
+    seconds: dict[str, float] = {}
+    progress: Progress | None = None
+
+    def timed(phase: str, work: Callable[[], Any]) -> Any:
+        if watch is not None:
+            watch(phase, None)
+        begun = time.perf_counter()
+        result = work()
+        seconds[phase] = time.perf_counter() - begun
+        return result
+
+    def tell(now: Progress) -> None:
+        if watch is not None:
+            watch("trace", now)
+
+    if not loaded:
+        timed("load", lambda: driver.load(job.space, job.surfaces))
+    progress = timed("trace", lambda: driver.trace(job.frame, budget, tell))
+    sums, samples = timed("collect", lambda: driver.collect(job.pixels))
+    _add_misses(job, sums, samples)
+    frame = job.frame
+    stats = make_stats(job, driver, progress, seconds)
+    return Picture(sums.reshape(frame.height, frame.width, 3), frame.samples, stats)
+
+
+def _add_misses(job: Job, sums: NDArray[np.int64], samples: NDArray[np.int64]) -> None:
+    """Add what the samples see whose rays never enter the world box; no home counts them."""
+    frame = job.frame
+    missing = frame.samples - samples
+    if np.any(missing < 0):
+        raise ArrayError(f"pixel {int(np.argmin(missing))} came with more samples than the {frame.samples} it has")
+    if frame.discs:
+        from raygrid.node.misses import add_missed
+
+        add_missed(frame, job.space.step, sums)
+        return
+    background = np.minimum(np.array(frame.background, np.float32).astype(np.float64), MAX_INTENSITY)
+    units = np.floor(background * UNIT + 0.5).astype(np.int64)
+    if units.any() and missing.any():
+        sums += missing[:, None] * units

@@ -1,0 +1,60 @@
+"""What the machine did for a frame, as a map ready for JSON. Documented in docs/stats.md."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from raygrid.emulator.driver import Driver, Progress
+from raygrid.host.job import Job
+from raygrid.node.packets import PacketKind
+from raygrid.node.pixels import UNIT
+
+VERSION = 1
+
+
+def make_stats(job: Job, driver: Driver, progress: Progress, seconds: dict[str, float]) -> dict[str, Any]:
+    """Totals over the array, a record a node, and wall seconds a phase."""
+    nodes = driver.report()
+    frame = job.frame
+    busy = [node["busy_seconds"] for node in nodes]
+    total = {
+        "born": _sum_kinds(nodes, "born"),
+        "died": _sum_kinds(nodes, "died"),
+        "hops": sum(sum(node["sent"]) for node in nodes),
+        "messages": sum(node["messages"] for node in nodes),
+        "bytes": sum(node["bytes"] for node in nodes),
+        "walks": sum(node["walks"] for node in nodes),
+        "tests": _sum_kinds(nodes, "tests"),
+        "boxes": sum(node["boxes"] for node in nodes),
+        "hits": sum(node["hits"] for node in nodes),
+    }
+    return {
+        "version": VERSION,
+        "scene": job.scene.name,
+        "surfaces": len(job.surfaces),
+        "array": list(driver.shape),
+        "split": job.settings.split,
+        "planes": [job.space.planes[axis, : driver.shape[axis] + 1].tolist() for axis in range(3)],
+        "size": [frame.width, frame.height],
+        "samples": frame.samples,
+        "depth": frame.depth,
+        "unit": int(UNIT),
+        "total": total,
+        "waves": driver.waves,
+        "most_in_flight": driver.most_in_flight,
+        "balance": max(busy) / float(np.mean(busy)) if sum(busy) > 0.0 else 1.0,
+        "wall_seconds": {phase: round(spent, 6) for phase, spent in seconds.items()},
+        "nodes": nodes,
+    }
+
+
+def _sum_kinds(nodes: list[dict[str, Any]], name: str) -> dict[str, int]:
+    return {kind: sum(node[name][kind] for node in nodes) for kind in nodes[0][name]}
+
+
+def ray_counts(stats: dict[str, Any]) -> dict[str, int]:
+    """Rays by kind (primary, reflected, refracted, shadow), for a line of summary."""
+    kinds = (PacketKind.PRIMARY, PacketKind.REFLECTED, PacketKind.REFRACTED, PacketKind.SHADOW)
+    return {kind.name.lower(): stats["total"]["born"][kind.name.lower()] for kind in kinds}

@@ -1,0 +1,90 @@
+"""Compiled loops over the parts of kernels that tests call many times; few, as each takes seconds to compile."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from raygrid.node import tables
+from raygrid.node.compiled import kernel, part
+from raygrid.node.hierarchy import DEPTH
+from raygrid.node.holdings import build_surfaces
+from raygrid.node.intersect import MISS, cone, in_polygon, plane, sphere, triangle
+from raygrid.node.lattice import make_cell
+from raygrid.node.surfaces import SurfaceSet
+from raygrid.node.tables import KIND_SHIFT, SLOT_MASK, Surfaces
+from raygrid.node.traverse import blocked, closest
+from raygrid.node.walk import inverse
+from support_space import even_space
+
+F64 = NDArray[np.float64]
+WHOLE = make_cell(even_space((1, 1, 1), (1.0 / (1 << 23),) * 3), (0, 0, 0))
+
+
+@part
+def _meet(surfaces, item, o, d, lower):
+    """t of one item: the first not below `lower` for bodies, any t for flat surfaces."""
+    word = np.int64(surfaces.items[item])
+    kind, row = word >> KIND_SHIFT, word & SLOT_MASK
+    if kind == 0:
+        return triangle(surfaces.triangles, row, o, d)[0]
+    if kind == 1:
+        return triangle(surfaces.smooth, row, o, d)[0]
+    if kind == 2:
+        t = plane(surfaces.planes, row, o, d)
+        if t == MISS:
+            return MISS
+        inside = in_polygon(surfaces.planes, surfaces.headers, surfaces.bins, surfaces.edges, row, o, d, t)
+        return t if inside else MISS
+    if kind == 3:
+        return sphere(surfaces.spheres, row, o, d, lower)
+    return cone(surfaces.cones, row, o, d, lower)
+
+
+@kernel
+def _meet_each(surfaces, items, origins, directions, lowers, found):
+    for k in range(len(items)):
+        o = (origins[k, 0], origins[k, 1], origins[k, 2])
+        d = (directions[k, 0], directions[k, 1], directions[k, 2])
+        found[k] = _meet(surfaces, items[k], o, d, lowers[k])
+
+
+@kernel
+def _closest_each(surfaces, stack, times, origins, directions, lowers, uppers, counts, walked, brute):
+    """walked, brute (n, 3): t and id (-1 for none) of the closest hit, and whether anything was hit."""
+    for k in range(len(origins)):
+        o = (origins[k, 0], origins[k, 1], origins[k, 2])
+        d = (directions[k, 0], directions[k, 1], directions[k, 2])
+        inv = (inverse(d[0]), inverse(d[1]), inverse(d[2]))
+        t, item, _, _ = closest(surfaces, stack, times, o, d, inv, lowers[k], uppers[k], counts)
+        walked[k, 0], walked[k, 1] = t, surfaces.ids[item] if item >= 0 else -1.0
+        walked[k, 2] = 1.0 if blocked(surfaces, stack, o, d, inv, lowers[k], uppers[k], counts) else 0.0
+        brute[k, 0], brute[k, 1] = uppers[k], -1.0
+        for other in range(len(surfaces.items)):
+            t = _meet(surfaces, other, o, d, lowers[k])
+            if t >= lowers[k] and t < uppers[k]:
+                if t < brute[k, 0] or (t == brute[k, 0] and surfaces.ids[other] < brute[k, 1]):
+                    brute[k, 0], brute[k, 1] = t, surfaces.ids[other]
+        brute[k, 2] = 1.0 if brute[k, 1] >= 0.0 else 0.0
+
+
+def built(surfaces: SurfaceSet) -> Surfaces:
+    """The tables of a node that holds the whole world."""
+    return build_surfaces(surfaces, WHOLE)
+
+
+def meet_each(surfaces: Surfaces, ids: NDArray[np.integer], origins: F64, directions: F64, lowers: F64) -> F64:
+    """t of ray k with the surface of id ids[k], infinite for a miss."""
+    item_of = np.full(int(surfaces.ids.max()) + 1, -1)
+    item_of[surfaces.ids] = np.arange(len(surfaces.ids))
+    found = np.empty(len(ids))
+    _meet_each(surfaces, item_of[ids], origins, directions, lowers, found)
+    return found
+
+
+def closest_each(surfaces: Surfaces, origins: F64, directions: F64, lowers: F64, uppers: F64) -> tuple[F64, F64]:
+    """(by the hierarchy, over all surfaces one by one): rows of t, id or -1, and 1 if anything was hit."""
+    walked, brute = np.empty((len(origins), 3)), np.empty((len(origins), 3))
+    stack, times = np.zeros(DEPTH, np.int64), np.zeros(DEPTH, np.float32)
+    counts = np.zeros(tables.COUNTS, np.int64)
+    _closest_each(surfaces, stack, times, origins, directions, lowers, uppers, counts, walked, brute)
+    return walked, brute
