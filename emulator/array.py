@@ -26,7 +26,7 @@ from raygrid.node.walk import HOST
 from .driver import PATIENCE, Driver
 from .launch import Ended, Nursery, Warming
 from .limits import check_fits
-from .places import Place
+from .places import Place, endpoint, host_endpoint
 from .topology import Index, host_links, indices, neighbour_links
 
 BATCH = 1024  # most packets a message
@@ -95,7 +95,7 @@ class Array:
         self.pids = self._nursery.launch(self._configs(machine))
         self._context = zmq.Context(io_threads=1)
         for corner, index in corners(self.shape).items():
-            pair = Pair(self._context, self._place.host_endpoint(EPOCH, index), bind=True)
+            pair = Pair(self._context, host_endpoint(self._place.path, EPOCH, index), bind=True)
             self._pairs[corner] = pair
             self._poller.register(pair.socket, zmq.POLLIN)
         self._poller.register(self._nursery.fileno(), zmq.POLLIN)
@@ -106,14 +106,14 @@ class Array:
     def _configs(self, machine: str) -> list[dict[str, Any]]:
         """What each node is told: itself, its ports and their endpoints, and nothing of any other node."""
         assert self._place is not None
-        place = self._place
+        place = self._place.path
         links: dict[Index, list[dict[str, Any]]] = {index: [] for index in indices(self.shape)}
         for wire in neighbour_links(self.shape):
-            endpoint = place.endpoint(EPOCH, wire.lower, wire.axis)
-            links[wire.lower].append({"port": wire.lower_port, "endpoint": endpoint, "bind": True})
-            links[wire.upper].append({"port": wire.upper_port, "endpoint": endpoint, "bind": False})
+            name = endpoint(place, EPOCH, wire.lower, wire.axis)
+            links[wire.lower].append({"port": wire.lower_port, "endpoint": name, "bind": True})
+            links[wire.upper].append({"port": wire.upper_port, "endpoint": name, "bind": False})
         for index in corners(self.shape).values():
-            links[index].append({"port": HOST, "endpoint": place.host_endpoint(EPOCH, index), "bind": False})
+            links[index].append({"port": HOST, "endpoint": host_endpoint(place, EPOCH, index), "bind": False})
         return [
             {
                 "index": list(index),

@@ -78,8 +78,8 @@ class Driver:
         link = self.links[corner]
         while (arrival := link.receive()) is not None:
             if arrival.kind == MessageKind.PACKETS:
-                check_packets(arrival.message, arrival.count)
-                self._take_pixels(arrival.message, arrival.count)
+                check_packets(arrival.message, arrival.items)
+                self._take_pixels(arrival.message, arrival.items)
                 link.grant()
             elif arrival.kind == MessageKind.UP and corner == 0:
                 self._answer = read_order(arrival.message)

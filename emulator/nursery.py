@@ -44,8 +44,8 @@ import msgpack
 from raygrid.node.errors import ProtocolError, RaygridError
 
 from . import places
+from .places import Index
 
-Index = tuple[int, int, int]
 Message = dict[str, Any]
 Run = Callable[[Message, int], None]
 
@@ -58,7 +58,7 @@ PR_SET_PDEATHSIG = 1
 DEBUG = "RAYGRID_DEBUG"  # set: tracebacks of errors, and of crashes in compiled code
 
 
-class Wire:
+class Control:
     """Messages over a stream socket, without ever blocking; both ends use it.
 
     closed    nothing more will come
@@ -134,8 +134,8 @@ class ForkServer:
     children   the living nodes, process id -> index
     """
 
-    def __init__(self, wire: Wire, run: Run, front_end: int, directory: str | None) -> None:
-        self.wire = wire
+    def __init__(self, control: Control, run: Run, front_end: int, directory: str | None) -> None:
+        self.control = control
         self.children: dict[int, Index] = {}
         self._run = run
         self._directory = directory
@@ -144,7 +144,7 @@ class ForkServer:
         self._wakeup, self._wakeup_writer = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._wakeup, selectors.EVENT_READ)
-        self._selector.register(wire.socket, selectors.EVENT_READ)
+        self._selector.register(control.socket, selectors.EVENT_READ)
         # A fork of the front end that outlives it keeps the socket open, so the process itself is watched as well.
         self._front_end = open_pidfd(front_end)
         if self._front_end is not None:
@@ -178,22 +178,21 @@ class ForkServer:
             else:
                 self._attend(ready)
         self._reap()
-        if not self.wire.closed:
-            writing = selectors.EVENT_WRITE if self.wire.unsent else 0
-            self._selector.modify(self.wire.socket, selectors.EVENT_READ | writing)
+        if not self.control.closed:
+            writing = selectors.EVENT_WRITE if self.control.unsent else 0
+            self._selector.modify(self.control.socket, selectors.EVENT_READ | writing)
 
     def _attend(self, ready: int) -> None:
         if ready & selectors.EVENT_WRITE:
-            self.wire.flush()
-        for message in self.wire.receive():
+            self.control.flush()
+        for message in self.control.receive():
             self._obey(message)
-        if self.wire.closed:
-            self._lose_front_end(self.wire.socket)
+        if self.control.closed:
+            self._lose_front_end(self.control.socket)
 
     def _lose_front_end(self, sign: int | socket.socket) -> None:
         self._selector.unregister(sign)
-        self._orphaned = self._orphaned or not self._ending
-        self._ending = True
+        self._ending = self._orphaned = True
 
     def _obey(self, message: Message) -> None:
         if message.get("do") == "launch" and not self._ending:
@@ -201,7 +200,7 @@ class ForkServer:
         elif message.get("do") == "end":
             self._ending = True
         else:
-            self.wire.send({"is": "refused", "why": f"the nursery cannot {message.get('do')!r} now"})
+            self.control.send({"is": "refused", "why": f"the nursery cannot {message.get('do')!r} now"})
 
     # --- nodes -----------------------------------------------------------------------------------
 
@@ -216,10 +215,10 @@ class ForkServer:
                 os.kill(pid, signal.SIGKILL)
                 os.waitpid(pid, 0)
             why = f"node {len(pids) + 1} of {len(configs)} could not be forked: {error.strerror}"
-            self.wire.send({"is": "refused", "why": why})
+            self.control.send({"is": "refused", "why": why})
             return
         self.children.update((pid, config["index"]) for pid, config in zip(pids, configs, strict=True))
-        self.wire.send({"is": "launched", "pids": pids})
+        self.control.send({"is": "launched", "pids": pids})
 
     def _fork(self, config: Message) -> int:
         for stream in (sys.stdout, sys.stderr):
@@ -259,7 +258,7 @@ class ForkServer:
             signal.signal(number, signal.SIG_DFL)
         # Through their objects first: one closed later by the collector would take a node's socket with it.
         self._selector.close()
-        self.wire.socket.close()
+        self.control.socket.close()
         for descriptor in (self._life_writer, self._wakeup, self._wakeup_writer, self._front_end):
             if descriptor is not None:
                 os.close(descriptor)
@@ -276,7 +275,7 @@ class ForkServer:
             index = self.children.pop(pid, None)
             if index is not None:
                 code = os.waitstatus_to_exitcode(status)
-                self.wire.send({"is": "ended", "pid": pid, "index": index, "status": code})
+                self.control.send({"is": "ended", "pid": pid, "index": index, "status": code})
 
     def _end_children(self) -> None:
         """End and reap all nodes, and give the front end a short time to read of it."""
@@ -288,7 +287,7 @@ class ForkServer:
             while self.children and (left := deadline - time.monotonic()) > 0:
                 self._turn(left)
         deadline = time.monotonic() + GRACE
-        while self.wire.unsent and not self.wire.closed and (left := deadline - time.monotonic()) > 0:
+        while self.control.unsent and not self.control.closed and (left := deadline - time.monotonic()) > 0:
             self._turn(left)
 
 
@@ -317,8 +316,8 @@ def say(who: str, error: BaseException) -> None:
         os.write(2, line[:LONGEST_LINE] + b"\n")
 
 
-def end_if_orphaned(control: socket.socket) -> None:
-    """End this process at once, also in the midst of compiling, when the other end of the socket closes."""
+def end_if_orphaned(control: socket.socket, directory: str | None) -> None:
+    """Clean up and end at once, also in the midst of compiling, when the other end of the socket closes."""
 
     def look(*_: object) -> None:
         try:
@@ -328,6 +327,8 @@ def end_if_orphaned(control: socket.socket) -> None:
         except OSError:
             gone = True
         if gone:
+            if directory is not None:
+                places.remove(directory)
             os._exit(1)
 
     signal.signal(signal.SIGIO, look)
@@ -336,24 +337,24 @@ def end_if_orphaned(control: socket.socket) -> None:
     look()
 
 
-def warm_up(wire: Wire, program: str, warm: str) -> Run:
+def warm_up(control: Control, program: str, warm: str, directory: str | None = None) -> Run:
     """Import the node program and warm it, with a report a step; returns its `run`."""
-    end_if_orphaned(wire.socket)
+    end_if_orphaned(control.socket, directory)
     run: Run = importlib.import_module(program).run
     module, _, function = warm.partition(":")
 
     def report(done: int, total: int, what: str) -> None:
-        wire.send({"is": "warming", "done": done, "total": total, "what": what})
+        control.send({"is": "warming", "done": done, "total": total, "what": what})
 
     getattr(importlib.import_module(module), function)(report)
-    fcntl(wire.socket, F_SETFL, fcntl(wire.socket, F_GETFL) & ~os.O_ASYNC)
+    fcntl(control.socket, F_SETFL, fcntl(control.socket, F_GETFL) & ~os.O_ASYNC)
     signal.signal(signal.SIGIO, signal.SIG_IGN)
     tasks = len(os.listdir("/proc/self/task"))
     if tasks > 1:
         say("raygrid nursery", RaygridError(f"warming left {tasks} threads, wanted 1: forks may hang"))
     gc.collect()
     gc.freeze()  # or the first collection in each node would write to, and so copy, all that is shared
-    wire.send({"is": "warm"})
+    control.send({"is": "warm"})
     return run
 
 
@@ -363,7 +364,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("fd", type=int, metavar="FD", help="socket to the front end")
     parser.add_argument("--front-end", type=int, default=os.getppid(), metavar="PID", help="process to outlive never")
     parser.add_argument("--program", default="raygrid.node.main", metavar="MODULE", help="its run(config, life)")
-    parser.add_argument("--warm", default="raygrid.node.warm:warm", metavar="MODULE:FUNCTION")
+    parser.add_argument("--warm", default="raygrid.emulator.warm:warm", metavar="MODULE:FUNCTION")
     parser.add_argument("--directory", metavar="DIR", help="socket directory to remove if the front end dies")
     return parser
 
@@ -378,10 +379,10 @@ def main(argv: list[str] | None = None) -> NoReturn:
     if os.environ.get(DEBUG):
         faulthandler.enable()
     os.set_inheritable(arguments.fd, False)
-    wire = Wire(socket.socket(fileno=arguments.fd))
+    control = Control(socket.socket(fileno=arguments.fd))
     try:
-        run = warm_up(wire, arguments.program, arguments.warm)
-        ForkServer(wire, run, arguments.front_end, arguments.directory).serve()
+        run = warm_up(control, arguments.program, arguments.warm, arguments.directory)
+        ForkServer(control, run, arguments.front_end, arguments.directory).serve()
     except Exception as error:
         say("raygrid nursery", error)
         os._exit(1)

@@ -88,6 +88,14 @@ class Place:
             " can be written, and is short: set XDG_RUNTIME_DIR or TMPDIR"
         )
 
+    def endpoint(self, epoch: int, index: Index, axis: int) -> str:
+        """The name of the link between the node at `index` and its + neighbour on `axis`."""
+        return endpoint(self.path, epoch, index, axis)
+
+    def host_endpoint(self, epoch: int, corner: Index) -> str:
+        """The name of the link between the host and the corner node at index `corner`."""
+        return host_endpoint(self.path, epoch, corner)
+
     def remove(self) -> None:
         """Remove the directory; does nothing if it is gone, or in a fork of the process that made it."""
         atexit.unregister(self.remove)

@@ -24,7 +24,7 @@ Examples:
 """
 
 
-class Pair(click.ParamType):
+class Pair(click.ParamType[Any]):
     """Two whole numbers, `512x384`."""
 
     name = "WxH"
@@ -40,7 +40,7 @@ class Pair(click.ParamType):
         return width, height
 
 
-class Shape(click.ParamType):
+class Shape(click.ParamType[Any]):
     """An array, `2x2x2`."""
 
     name = "NXxNYxNZ"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .compiled import kernel
-from .packets import PIXEL, RETURN, SHADOW, SIZE, copy_packet, fault
+from .packets import PIXEL, RETURN, SHADOW, SIZE, Limits, copy_packet, fault
 from .step import HEAD
 
 TRAVELLERS, SHADOWS, RAYS = 0, 1, 2
@@ -105,11 +105,11 @@ class Backlog:
         return sum(stack.held for stack in self.stacks)
 
     @property
-    def bytes(self) -> int:
+    def size(self) -> int:
         """Size of the stacks' buffers."""
         return sum(len(stack.ports) for stack in self.stacks) * BYTES_A_PACKET
 
-    def sort_in(self, message: bytes, count: int, port: int, limits: tuple) -> tuple[int, int]:
+    def sort_in(self, message: bytes, count: int, port: int, limits: Limits) -> tuple[int, int]:
         """Take in a PACKETS message whose length was checked; (number, fault) of the first bad packet, or (-1, 0)."""
         for stack in self.stacks:
             stack.make_room(count)

@@ -19,28 +19,28 @@ so nothing needs to be counted, as long as a `lean` or a `part`
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 from numba import njit
 
-F = TypeVar("F", bound=Callable[..., Any])
+Function = Callable[..., Any]  # annotations inside kernels would never be checked, so they have none
 
 
-def kernel(function: F) -> F:
+def kernel(function: Function) -> Function:
     """Compile a function that Python calls and that may make arrays."""
-    return cast(F, njit(cache=True, error_model="numpy", fastmath=False)(function))
+    return cast(Function, njit(cache=True, error_model="numpy", fastmath=False)(function))
 
 
-def lean(function: F) -> F:
+def lean(function: Function) -> Function:
     """Compile a function that Python calls and that makes no array."""
-    return cast(F, njit(cache=True, error_model="numpy", fastmath=False, _nrt=False)(function))
+    return cast(Function, njit(cache=True, error_model="numpy", fastmath=False, _nrt=False)(function))
 
 
-def part(function: F) -> F:
+def part(function: Function) -> Function:
     """Compile a function that kernels call; always inlined."""
-    return cast(F, njit(cache=True, error_model="numpy", fastmath=False, forceinline=True, _nrt=False)(function))
+    return cast(Function, njit(cache=True, error_model="numpy", fastmath=False, forceinline=True, _nrt=False)(function))
 
 
-def piece(function: F) -> F:
+def piece(function: Function) -> Function:
     """Compile a function that kernels call, too large to be inlined wherever it is used."""
-    return cast(F, njit(cache=True, error_model="numpy", fastmath=False)(function))
+    return cast(Function, njit(cache=True, error_model="numpy", fastmath=False)(function))

@@ -61,7 +61,7 @@ class Arrival(NamedTuple):
     """A message for the owner of the link."""
 
     kind: MessageKind
-    count: int
+    items: int
     message: bytes
 
 
@@ -114,8 +114,9 @@ class Link:
     def send_packets(self, row: NDArray[np.uint8], held: int, batch: int) -> None:
         """Send the first `held` packets of an output row (HEAD bytes are free at its head), `batch` a message."""
         if held <= batch and not self._waiting and self._may_send_data():
-            HEADER.pack_into(row, 0, *self._header(MessageKind.PACKETS, held))
-            if self.channel.send(memoryview(row)[: HEAD + held * SIZE]):
+            data = row.data
+            HEADER.pack_into(data, 0, *self._header(MessageKind.PACKETS, held))
+            if self.channel.send(data[: HEAD + held * SIZE]):
                 self._count_sent(HEAD + held * SIZE, data=True)
                 return
         for first in range(0, held, batch):
@@ -194,7 +195,7 @@ class Link:
             self._check_order(header.sequence, header.kind)
             self._take_credit(header.credit)
             if not self._is_for_link(header.kind, message):
-                return Arrival(header.kind, header.count, message)
+                return Arrival(header.kind, header.items, message)
         return None
 
     def _check_order(self, sequence: int, kind: MessageKind) -> None:

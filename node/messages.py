@@ -59,7 +59,7 @@ class Header(NamedTuple):
     epoch: int
     sequence: int
     credit: int
-    count: int
+    items: int
 
 
 def read_header(message: bytes) -> Header:

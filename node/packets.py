@@ -33,9 +33,9 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from .compiled import kernel, part
 from .errors import PacketError
 
 SIZE = 25
@@ -86,31 +86,31 @@ class Limits(NamedTuple):
 # --- little-endian integers ---------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@part
 def read_u16(buffer, at):
     """The two bytes at `at`, as int64."""
     return np.int64(buffer[at]) | (np.int64(buffer[at + 1]) << 8)
 
 
-@njit(cache=True)
+@part
 def read_u24(buffer, at):
     """The three bytes at `at`, as int64."""
     return np.int64(buffer[at]) | (np.int64(buffer[at + 1]) << 8) | (np.int64(buffer[at + 2]) << 16)
 
 
-@njit(cache=True)
+@part
 def read_u32(buffer, at):
     """The four bytes at `at`, as int64."""
     return read_u16(buffer, at) | (read_u16(buffer, at + 2) << 16)
 
 
-@njit(cache=True)
+@part
 def read_u48(buffer, at):
     """The six bytes at `at`, as int64."""
     return read_u24(buffer, at) | (read_u24(buffer, at + 3) << 24)
 
 
-@njit(cache=True)
+@part
 def _write(buffer, at, value, size):
     for k in range(size):
         buffer[at + k] = np.uint8((value >> (8 * k)) & 0xFF)
@@ -119,7 +119,7 @@ def _write(buffer, at, value, size):
 # --- directions and weights ---------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@part
 def octahedral(x, y, z):
     """The two direction codes of a non-zero vector (need not be a unit vector)."""
     scale = 1.0 / (abs(x) + abs(y) + abs(z))
@@ -131,7 +131,7 @@ def octahedral(x, y, z):
     return min(max(a, 0), 2 * HALF_DIRECTION), min(max(b, 0), 2 * HALF_DIRECTION)
 
 
-@njit(cache=True)
+@part
 def unit_vector(a, b):
     """The unit vector that two direction codes stand for."""
     u = np.float64(a - HALF_DIRECTION) * (1.0 / HALF_DIRECTION)
@@ -145,7 +145,7 @@ def unit_vector(a, b):
     return x * scale, y * scale, z * scale
 
 
-@njit(cache=True)
+@part
 def pack_weight(red, green, blue):
     """Three weights >= 0 as 40 bits. Below 2^-75 they become 0; at 2^64 and above the largest that fits."""
     largest = max(red, green, blue)
@@ -162,14 +162,14 @@ def pack_weight(red, green, blue):
     return r | (g << 11) | (b << 22) | (np.int64(exponent) << 33)
 
 
-@njit(cache=True)
+@part
 def unpack_weight(bits):
     """Three float64 weights out of 40 bits."""
     unit = WEIGHT_UNIT[(bits >> 33) & 127]
     return (bits & 2047) * unit, ((bits >> 11) & 2047) * unit, ((bits >> 22) & 2047) * unit
 
 
-@njit(cache=True)
+@part
 def pack_shadow_weight(value):
     """A weight >= 0 as the upper 24 bits of its binary32 without the sign, rounded to nearest."""
     if not value > 0.0:
@@ -178,7 +178,7 @@ def pack_shadow_weight(value):
     return min(bits, np.int64(LARGEST_SHADOW_WEIGHT)) >> 7
 
 
-@njit(cache=True)
+@part
 def unpack_shadow_weight(bits):
     """The float64 that 24 bits stand for."""
     return np.float64(np.uint32(bits << 7).view(np.float32))
@@ -187,7 +187,7 @@ def unpack_shadow_weight(bits):
 # --- whole packets ------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@part
 def put_ray(buffer, at, kind, depth, sample, origin, codes, weight):
     """Write a primary, reflected or refracted ray. `origin`: three lattice coordinates, `codes`: direction."""
     buffer[at] = np.uint8(kind | (depth << 3))
@@ -200,7 +200,7 @@ def put_ray(buffer, at, kind, depth, sample, origin, codes, weight):
     _write(buffer, at + 20, weight, 5)
 
 
-@njit(cache=True)
+@part
 def put_shadow(buffer, at, depth, sample, origin, light, weights):
     """Write a shadow ray. `weights`: three floats, the intensity it adds if it reaches the light."""
     buffer[at] = np.uint8(SHADOW | (depth << 3))
@@ -213,7 +213,7 @@ def put_shadow(buffer, at, depth, sample, origin, light, weights):
         _write(buffer, at + 16 + 3 * k, pack_shadow_weight(weights[k]), 3)
 
 
-@njit(cache=True)
+@part
 def put_return(buffer, at, depth, sample, intensity, home):
     """Write a return packet. `intensity`: three binary32, `home`: cell of the sample's home."""
     buffer[at] = np.uint8(RETURN | (depth << 3))
@@ -224,7 +224,7 @@ def put_return(buffer, at, depth, sample, intensity, home):
     _write(buffer, at + 23, np.int64(0), 2)
 
 
-@njit(cache=True)
+@part
 def put_pixel(buffer, at, pixel, sums, samples):
     """Write a pixel packet. `sums`: three integers below 2^48, `samples` below 2^16."""
     buffer[at] = np.uint8(PIXEL)
@@ -234,7 +234,7 @@ def put_pixel(buffer, at, pixel, sums, samples):
     _write(buffer, at + 23, samples, 2)
 
 
-@njit(cache=True)
+@part
 def get_intensity(buffer, at):
     """The three binary32 of a return packet."""
     return (
@@ -244,7 +244,7 @@ def get_intensity(buffer, at):
     )
 
 
-@njit(cache=True)
+@part
 def copy_packet(source, at, target, to):
     """Move 25 bytes."""
     for k in range(SIZE):
@@ -266,7 +266,7 @@ FAULTS = {
 }
 
 
-@njit(cache=True)
+@part
 def _fault_of_return(buffer, at, limits):
     for k in range(3):
         # sign bit clear and below the bits of infinity: finite and not negative in one comparison
@@ -281,7 +281,7 @@ def _fault_of_return(buffer, at, limits):
     return 9 if read_u16(buffer, at + 23) != 0 else 0
 
 
-@njit(cache=True)
+@part
 def fault(buffer, at, limits):
     """0 if the 25 bytes at `at` are a packet of this frame, else a key of FAULTS."""
     kind, depth = np.int64(buffer[at]) & 7, np.int64(buffer[at]) >> 3
@@ -308,7 +308,7 @@ def fault(buffer, at, limits):
     return 4 if read_u24(buffer, at + 14) > too_far or read_u24(buffer, at + 17) > too_far else 0
 
 
-@njit(cache=True)
+@kernel
 def first_fault(buffer, start, count, limits):
     """(index, fault) of the first bad one of `count` packets from byte `start`, or (-1, 0)."""
     for k in range(count):

@@ -64,9 +64,8 @@ class Processor:
         self.index, self.shape, self.links, self.batch, self.clock = index, shape, links, batch, clock
         self.tracer = Tracer(index, shape)
         self.ended = False
-        self._parent = tree_parent(index)
-        if self._parent is None:
-            self._parent = HOST
+        parent = tree_parent(index)
+        self._parent = HOST if parent is None else parent
         self._children = tree_children(index, shape)
         self._surfaces: deque[tuple[Link, Arrival]] = deque()
         self._branches: dict[int, list[Branch]] = {}
@@ -123,11 +122,11 @@ class Processor:
             self._refuse(f"link {link.name}: packets came before a frame")
             return
         try:
-            check_packets(arrival.message, arrival.count)
+            check_packets(arrival.message, arrival.items)
         except ProtocolError as error:
             self._refuse(f"link {link.name}: {error}")
             return
-        number, bad = self.tracer.backlog.sort_in(arrival.message, arrival.count, port, self.tracer.limits)
+        number, bad = self.tracer.backlog.sort_in(arrival.message, arrival.items, port, self.tracer.limits)
         if bad:
             self._refuse(f"link {link.name}: packet {number} of a message: {FAULTS[bad]}")
 
@@ -161,7 +160,7 @@ class Processor:
                 self._refuse(f"link {link.name}: surfaces came before a space")
                 continue
             try:
-                corner, batch = read_surfaces(arrival.message, arrival.count)
+                corner, batch = read_surfaces(arrival.message, arrival.items)
             except ProtocolError as error:
                 self._refuse(f"link {link.name}: {error}")
                 continue

@@ -11,7 +11,7 @@ from .hierarchy import DEPTH
 from .holdings import build_surfaces, empty_surfaces
 from .lattice import Cell, Space, make_cell
 from .packets import PIXEL, SIZE, Limits
-from .pixels import make_pixels, send_pixels
+from .pixels import Pixels, make_pixels, send_pixels
 from .step import HEAD, make_outputs, step
 from .surfaces import Batch, SurfaceSet, merge
 from .tables import BORN, COUNTS, DIED, SENT, Frame, frame_limits
@@ -45,7 +45,7 @@ class Tracer:
         self.cursor = new_cursor(False)
         self.quota = 0
         self.collecting = np.int64(-1)  # place in the pixel store, -1: nothing to send
-        self.pixels = None
+        self.pixels: Pixels | None = None
 
     # --- set-up ------------------------------------------------------------------------------------
 
@@ -91,12 +91,12 @@ class Tracer:
     @property
     def samples_left(self) -> bool:
         """Whether primaries of this node are still to be born."""
-        return bool(self.cursor[DONE] == 0)
+        return int(self.cursor[DONE]) == 0
 
     @property
     def has_work(self) -> bool:
         """Whether `work` would do anything."""
-        return self.backlog.held > 0 or (self.quota > 0 and self.samples_left) or self.collecting >= 0
+        return self.backlog.held > 0 or (self.quota > 0 and self.samples_left) or int(self.collecting) >= 0
 
     def work(self) -> None:
         """One call of the step over the most urgent packets; first bear primaries if few rays wait."""
@@ -182,7 +182,7 @@ class Tracer:
         return {
             "surfaces": surfaces + described,
             "pixels": pixels,
-            "backlog": self.backlog.bytes,
+            "backlog": self.backlog.size,
             "outputs": self.outputs.data.nbytes,
         }
 

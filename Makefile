@@ -1,0 +1,51 @@
+# Needs Python 3.11 or later, make, and a package index. Everything is installed into .venv here.
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+STAMP  := $(VENV)/.installed
+
+.DEFAULT_GOAL := help
+.PHONY: help render test test-long style types check bench clean
+
+help: ## list the targets
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
+
+$(STAMP): pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet --editable '.[test]'
+	@touch $@
+
+$(VENV)/.dev: $(STAMP)
+	$(BIN)/python -m pip install --quiet --editable '.[test,dev]'
+	@touch $@
+
+render: $(STAMP) ## render a room with a mirror ball and a glass ball on a 2x2x2 array
+	@mkdir -p out
+	$(BIN)/raygrid render scenes/room.glb --array 2x2x2 --size 800x600 --samples 4 -o out/room.png
+	@echo "the picture is out/room.png"
+
+test: $(STAMP) ## the tests
+	$(BIN)/python -m pytest -m "not slow"
+
+test-long: $(STAMP) ## all tests, the long ones too
+	$(BIN)/python -m pytest
+
+style: $(VENV)/.dev ## ruff
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(VENV)/.dev ## mypy, over links that show the packages under their import names
+	@mkdir -p build/types/raygrid
+	@for layer in node emulator host; do ln -sfn ../../../$$layer build/types/raygrid/$$layer; done
+	@ln -sfn ../../../host/facade/__init__.py build/types/raygrid/__init__.py
+	cd build/types && ../../$(BIN)/mypy --config-file ../../pyproject.toml -p raygrid
+
+check: style types test ## style, types and tests
+
+bench: $(STAMP) ## measure speed and write docs/performance.md
+	$(BIN)/python benchmarks/bench.py --write docs/performance.md
+
+clean: ## remove what the other targets made
+	rm -rf $(VENV) build out *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,422 @@
+"""The front end's side of the nursery: start it, launch nodes, hear of their ends, and leave no process behind.
+
+    with Nursery.start(on_warming=show) as nursery:
+        ...                                   # read the scene while the kernels are loaded or compiled
+        nursery.wait_warm(timeout=300)
+        nursery.launch(configs)               # one map a node, with its "index"
+        ...                                   # poll nursery.fileno(); when it can be read:
+        for event in nursery.read_events():   # a node has ended
+
+What nodes and nursery write to stderr comes here, not to the terminal, and becomes part of the error that tells
+of their end; with RAYGRID_DEBUG set it is copied to the terminal as well. Nothing here blocks longer than its
+timeout, and nothing here starts a thread. For use by one thread at a time.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from types import TracebackType
+from typing import Any, NamedTuple, Self
+
+from raygrid.node.errors import ArrayError, LostProcess
+
+from .nursery import DEBUG, LAST_WAIT, Control, Message, open_pidfd
+from .places import Index
+
+LONGEST_TAIL = 16_384  # characters of stderr that are kept
+LAST_LINES = 3  # of them in an error message
+# One thread a process: a fork copies only one, and the array itself is the parallelism.
+ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+class Warming(NamedTuple):
+    """The nursery compiles or loads kernels: `done` of `total` are ready, `what` comes next."""
+
+    done: int
+    total: int
+    what: str
+
+
+class Ended(NamedTuple):
+    """A node has ended.
+
+    pid      its process id
+    index    its coordinates
+    status   its exit code, or minus the number of the signal that ended it
+    words    what it wrote last: its error, "" if it wrote none
+    """
+
+    pid: int
+    index: Index
+    status: int
+    words: str
+
+    @property
+    def code(self) -> int | None:
+        """The exit code; None if a signal ended it."""
+        return self.status if self.status >= 0 else None
+
+    @property
+    def signal(self) -> str | None:
+        """The name of the signal that ended it, such as "SIGKILL"; None if it exited."""
+        return None if self.status >= 0 else _signal_name(-self.status)
+
+    @property
+    def why(self) -> str:
+        """How it ended and what it said: "exit code 1: no such surface"."""
+        return _how(self.status) + (f": {self.words}" if self.words else "")
+
+    def __str__(self) -> str:
+        return f"node {','.join(map(str, self.index))} (process {self.pid}) ended by {self.why}"
+
+
+Event = Warming | Ended
+
+
+class Nursery:
+    """The process that all nodes are forked from. Use as a context manager; leaves no process.
+
+    pid     its process id, which is also its session and process group
+    warm    whether nodes can be launched
+    """
+
+    def __init__(
+        self, process: subprocess.Popen[bytes], control: socket.socket, stderr: int, on_warming: OnWarming | None
+    ) -> None:
+        self.pid = process.pid
+        self.warm = False
+        self._process = process
+        self._control = Control(control)
+        self._stderr = _Words(stderr)
+        self._pidfd = open_pidfd(process.pid)
+        self._on_warming = on_warming
+        self._pids: dict[int, Index] = {}
+        self._events: list[Event] = []
+        self._asked: Sequence[Message] = ()  # configs of the launch under way
+        self._reply: Message | None = None
+        self._dead = self._ended = False
+        self._owner = os.getpid()
+        # Readable when there is something to read anywhere, or events that came with the answer to a launch.
+        self._held = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._epoll = select.epoll()
+        for descriptor in self._sources() | {self._held}:
+            self._epoll.register(descriptor, select.EPOLLIN)
+        atexit.register(self.end)
+
+    @classmethod
+    def start(
+        cls,
+        *,
+        program: str = "raygrid.node.main",
+        warm: str = "raygrid.emulator.warm:warm",
+        on_warming: OnWarming | None = None,
+        directory: str | None = None,
+    ) -> Nursery:
+        """Start the process and return at once; it imports and warms `program` meanwhile.
+
+        program      module with run(config: dict, life: int), the whole life of a node
+        warm         module:function, called once with report(done, total, what)
+        on_warming   called as on_warming(done, total, what), by wait_warm, launch and read_events;
+                     without it Warming events come from read_events
+        directory    the socket directory, removed by the nursery if the front end dies without doing it
+
+        Raises ArrayError if no process can be started.
+        """
+        ours, theirs = socket.socketpair()
+        reading, writing = os.pipe2(os.O_CLOEXEC)
+        arguments = [str(theirs.fileno()), "--front-end", str(os.getpid()), "--program", program, "--warm", warm]
+        arguments += ["--directory", directory] if directory is not None else []
+        try:
+            # -P: a random.py where the user happens to stand is not what the node program imports.
+            process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "raygrid.emulator.nursery", *arguments],
+                stderr=writing,
+                close_fds=True,
+                pass_fds=(theirs.fileno(),),
+                start_new_session=True,
+                env=os.environ | ONE_THREAD,
+            )
+        except OSError as error:
+            ours.close()
+            os.close(reading)
+            raise ArrayError(f"the nursery cannot be started with {sys.executable!r}: {error}") from error
+        finally:
+            theirs.close()
+            os.close(writing)
+        return cls(process, ours, reading, on_warming)
+
+    # --- while it lives --------------------------------------------------------------------------
+
+    @property
+    def alive(self) -> bool:
+        """Whether the nursery was serving when last heard of."""
+        return not (self._dead or self._ended)
+
+    @property
+    def pids(self) -> dict[int, Index]:
+        """The nodes that live, process id -> coordinates, as of the last event read."""
+        return dict(self._pids)
+
+    @property
+    def words(self) -> str:
+        """The end of what nursery and nodes have written to stderr."""
+        return self._stderr.tail
+
+    def fileno(self) -> int:
+        """A descriptor that can be read when read_events has something to do. Raises ArrayError after `end`."""
+        if self._ended:
+            raise ArrayError("the nursery was ended, and has no events any more")
+        return self._epoll.fileno()
+
+    def wait_warm(self, timeout: float | None = None) -> None:
+        """Wait until nodes can be launched. Raises ArrayError if it fails, or takes more than `timeout` seconds."""
+        self._wait(lambda: self.warm, timeout, "become warm")
+
+    def launch(self, configs: Sequence[Message], timeout: float = 60.0) -> list[int]:
+        """Fork a node for each config; returns their process ids, in the same order.
+
+        A config is a map that msgpack can carry, with the node's coordinates under "index"; the node
+        gets it with tuples for lists. Waits until the nursery is warm. Either all are forked or none:
+        raises ArrayError if not, LostProcess if the nursery ends meanwhile.
+        """
+        _check(configs)
+        self.wait_warm(timeout)
+        self._reply, self._asked = None, configs
+        try:
+            self._control.send({"do": "launch", "configs": list(configs)})
+        except TypeError as error:
+            raise ArrayError(f"a node's config cannot be sent: {error}; wanted maps, lists, numbers, text") from error
+        self._wait(lambda: self._reply is not None, timeout, f"fork {len(configs)} nodes")
+        reply: Message = self._reply or {}
+        if reply["is"] == "refused":
+            raise ArrayError(f"the array could not be launched: {reply['why']}")
+        return list(reply["pids"])
+
+    def read_events(self) -> list[Event]:
+        """What has happened since the last call, oldest first, without waiting; nothing after `end`.
+
+        Raises LostProcess, once all events before it have been read, if the nursery ended by itself.
+        """
+        if self._ended:
+            return []
+        self._attend(0.0)
+        events, self._events = self._events, []
+        with contextlib.suppress(BlockingIOError):
+            os.eventfd_read(self._held)
+        if not events:
+            self._check_alive()
+        return events
+
+    def _wait(self, done: Callable[[], bool], timeout: float | None, what: str) -> None:
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while not done():
+            self._check_alive()
+            left = None if deadline is None else deadline - time.monotonic()
+            if left is not None and left <= 0:
+                raise ArrayError(f"the nursery (process {self.pid}) did not {what} within {timeout:g} seconds")
+            self._attend(left)
+
+    def _check_alive(self) -> None:
+        if self._ended:
+            raise ArrayError("the nursery was ended, wanted one that serves")
+        if self._dead:
+            last = self._stderr.last_lines()
+            said = f": {last}" if last else ", without a word"
+            kind = LostProcess if self.warm else ArrayError
+            when = "" if self.warm else " before it was warm"
+            raise kind(f"the nursery (process {self.pid}) ended by {_how(self._status())}{when}{said}")
+
+    def _status(self) -> int:
+        """How the nursery ended; it stays a zombie until `end`, so that its process group keeps its name."""
+        try:
+            found = os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT)
+        except ChildProcessError:  # the program ignores SIGCHLD
+            return 0
+        return 0 if found is None else found.si_status if found.si_code == os.CLD_EXITED else -found.si_status
+
+    def _sources(self) -> set[int]:
+        """The descriptors that may still bring something."""
+        sources = set() if self._dead else {self._control.socket.fileno(), self._pidfd}
+        sources |= set() if self._stderr.closed else {self._stderr.descriptor}
+        return {source for source in sources if source is not None}
+
+    def _attend(self, timeout: float | None) -> None:
+        """Wait for anything, at most `timeout` seconds, and take in all that has come."""
+        poller = select.poll()
+        for source in self._sources():
+            writing = source == self._control.socket.fileno() and self._control.unsent
+            poller.register(source, select.POLLIN | (select.POLLOUT if writing else 0))
+        ready = dict(poller.poll(None if timeout is None else max(timeout, 0.0) * 1000))
+        if not ready or self._dead:
+            self._stderr.read()
+            return
+        self._control.flush()
+        messages = self._control.receive()
+        # After the reports: a node's words were in the pipe before its end was known.
+        self._stderr.read()
+        self._dead = self._control.closed or self._pidfd in ready
+        for message in messages:
+            self._hear(message)
+        if self._events:
+            os.eventfd_write(self._held, 1)
+
+    def _hear(self, message: Message) -> None:
+        """Take in a report."""
+        kind = message["is"]
+        if kind == "warm":
+            self.warm = True
+        elif kind == "warming":
+            event = Warming(message["done"], message["total"], message["what"])
+            if self._on_warming is None:
+                self._events.append(event)
+            else:
+                self._on_warming(*event)
+        elif kind == "ended":
+            index: Index = message["index"]
+            self._pids.pop(message["pid"], None)
+            self._events.append(Ended(message["pid"], index, message["status"], self._stderr.take(index)))
+        else:
+            if kind == "launched":
+                indices = (tuple(config["index"]) for config in self._asked)
+                self._pids.update(zip(message["pids"], indices, strict=True))
+            self._reply = message
+
+    # --- its end ---------------------------------------------------------------------------------
+
+    def end(self, timeout: float = 5.0) -> None:
+        """End all nodes and the nursery: asked first, killed after `timeout` seconds, and waited for.
+
+        May be called twice, and at any time; in a fork of the front end it only closes descriptors.
+        Raises ArrayError if a process is still there afterwards.
+        """
+        if self._ended:
+            return
+        try:
+            if os.getpid() == self._owner:
+                self._end_processes(timeout)
+        finally:
+            self._ended = True
+            self._pids.clear()
+            atexit.unregister(self.end)
+            self._close()
+
+    def _end_processes(self, timeout: float) -> None:
+        try:
+            self._control.send({"do": "end"})
+            if not self.warm:
+                os.kill(self.pid, signal.SIGTERM)  # it is busy compiling, and does not listen
+            self._wait_gone(timeout)
+        finally:  # also after a second Ctrl-C
+            # The group outlives the nursery until it is waited for, so this cannot hit strangers.
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(self.pid, signal.SIGKILL)
+            self._wait_gone(LAST_WAIT)
+            self._process.wait(LAST_WAIT)
+        left = [str(pid) for pid in (self.pid, *self._pids) if _exists(pid)]
+        if left:
+            raise ArrayError(f"processes {', '.join(left)} are still there {LAST_WAIT:g} seconds after SIGKILL")
+
+    def _wait_gone(self, timeout: float) -> None:
+        """Wait until the nursery is dead and all nodes are reaped, or else, all have closed stderr."""
+        deadline = time.monotonic() + timeout
+        while not (self._dead and (not self._pids or self._stderr.closed)):
+            left = deadline - time.monotonic()
+            if left <= 0:
+                return
+            self._attend(left)
+
+    def _close(self) -> None:
+        self._epoll.close()
+        self._control.socket.close()
+        for descriptor in (self._held, self._stderr.descriptor, self._pidfd):
+            if descriptor is not None:
+                os.close(descriptor)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.end()
+
+
+class _Words:
+    """What nursery and nodes write to stderr: its end, and the last line of each node."""
+
+    def __init__(self, descriptor: int) -> None:
+        os.set_blocking(descriptor, False)
+        self.descriptor = descriptor
+        self.closed = False
+        self.tail = ""
+        self._line = ""
+        self._of_node: dict[str, str] = {}
+
+    def read(self) -> None:
+        """Take in what has come; at most what a pipe holds, so that a babbling node cannot keep us here."""
+        try:
+            piece = os.read(self.descriptor, 1 << 16) if not self.closed else b""
+        except BlockingIOError:
+            return
+        self.closed = not piece
+        text = piece.decode(errors="replace")
+        if os.environ.get(DEBUG) and sys.stderr is not None:
+            sys.stderr.write(text)
+        self.tail = (self.tail + text)[-LONGEST_TAIL:]
+        *lines, self._line = (self._line + text).split("\n")
+        self._line = self._line[-LONGEST_TAIL:]
+        for line in lines:
+            if line.startswith("raygrid node "):
+                node, _, words = line.removeprefix("raygrid node ").partition(": ")
+                self._of_node[node] = words
+
+    def take(self, index: Index) -> str:
+        """The last line that the node wrote about itself; "" if none."""
+        return self._of_node.pop(",".join(map(str, index)), "")
+
+    def last_lines(self) -> str:
+        """The last lines written, in one."""
+        lines = [line.strip() for line in self.tail.splitlines() if line.strip()]
+        return " / ".join(lines[-LAST_LINES:])
+
+
+OnWarming = Callable[[int, int, str], Any]
+
+
+def _check(configs: Sequence[Message]) -> None:
+    """Raise ArrayError unless each config says which node it is for."""
+    for config in configs:
+        index = config.get("index")
+        if not (isinstance(index, (list, tuple)) and len(index) == 3 and all(isinstance(axis, int) for axis in index)):
+            raise ArrayError(f'a node\'s config came with index {index!r}, wanted three whole numbers under "index"')
+
+
+def _how(status: int) -> str:
+    return f"exit code {status}" if status >= 0 else f"signal {_signal_name(-status)}"
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return str(number)
+
+
+def _exists(pid: int) -> bool:
+    """Whether a process has this id."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
