@@ -24,7 +24,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
-from types import TracebackType
+from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
 from raygrid.node.errors import ArrayError, LostProcess
@@ -38,6 +38,9 @@ LAST_LINES = 3  # of them in an error message
 ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
+OnWarming = Callable[[int, int, str], Any]
+
+
 class Warming(NamedTuple):
     """The nursery compiles or loads kernels: `done` of `total` are ready, `what` comes next."""
 
@@ -46,7 +49,8 @@ class Warming(NamedTuple):
     what: str
 
 
-class Ended(NamedTuple):
+@dataclass(frozen=True)
+class Ended:
     """A node has ended.
 
     pid      its process id
@@ -193,8 +197,8 @@ class Nursery:
         self._reply, self._asked = None, configs
         try:
             self._control.send({"do": "launch", "configs": list(configs)})
-        except TypeError as error:
-            raise ArrayError(f"a node's config cannot be sent: {error}; wanted maps, lists, numbers, text") from error
+        except (TypeError, ValueError, OverflowError) as error:
+            raise ArrayError(f"a node's config cannot be sent: {error}; wanted what msgpack can carry") from error
         self._wait(lambda: self._reply is not None, timeout, f"fork {len(configs)} nodes")
         reply: Message = self._reply or {}
         if reply["is"] == "refused":
@@ -310,6 +314,7 @@ class Nursery:
             self._close()
 
     def _end_processes(self, timeout: float) -> None:
+        self._on_warming = None
         try:
             self._control.send({"do": "end"})
             if not self.warm:
@@ -320,10 +325,13 @@ class Nursery:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(self.pid, signal.SIGKILL)
             self._wait_gone(LAST_WAIT)
-            self._process.wait(LAST_WAIT)
-        left = [str(pid) for pid in (self.pid, *self._pids) if _exists(pid)]
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(LAST_WAIT)
+        # Without reports from the nursery, a closed stderr proves that all who could write to it are gone.
+        unproved = [] if self._stderr.closed else [pid for pid in self._pids if os.path.exists(f"/proc/{pid}")]
+        left = unproved if self._process.returncode is not None else [self.pid, *unproved]
         if left:
-            raise ArrayError(f"processes {', '.join(left)} are still there {LAST_WAIT:g} seconds after SIGKILL")
+            raise ArrayError(f"processes {left} are still there {LAST_WAIT:g} seconds after SIGKILL")
 
     def _wait_gone(self, timeout: float) -> None:
         """Wait until the nursery is dead and all nodes are reaped, or else, all have closed stderr."""
@@ -344,9 +352,7 @@ class Nursery:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.end()
 
 
@@ -389,9 +395,6 @@ class _Words:
         return " / ".join(lines[-LAST_LINES:])
 
 
-OnWarming = Callable[[int, int, str], Any]
-
-
 def _check(configs: Sequence[Message]) -> None:
     """Raise ArrayError unless each config says which node it is for."""
     for config in configs:
@@ -409,14 +412,3 @@ def _signal_name(number: int) -> str:
         return signal.Signals(number).name
     except ValueError:
         return str(number)
-
-
-def _exists(pid: int) -> bool:
-    """Whether a process has this id."""
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True

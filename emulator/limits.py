@@ -30,6 +30,15 @@ NODE_BYTES = 14_000_000  # private memory of a node without surfaces
 NURSERY_BYTES = 200_000_000  # numba, LLVM and the kernels, once
 UNLIMITED = 1 << 62  # control groups of version 1 write "no limit" as a number of about this size
 
+# The files of a control group that hold the limit, what is used, and the line of memory.stat to take off that.
+GROUP_FILES = {
+    "pids": (("pids.max", "pids.current", ""),),
+    "memory": (
+        ("memory.max", "memory.current", "inactive_file"),  # version 2
+        ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),  # version 1
+    ),
+}
+
 
 class Bound(NamedTuple):
     """How much is left of something, and which limit leaves no more."""
@@ -214,12 +223,7 @@ def _group_bounds(proc: Path, cgroups: Path, controller: str) -> Iterator[Bound]
     """What the control groups above this process leave of "memory" (bytes) or "pids" (tasks)."""
     yield Bound(UNLIMITED, "no limit")
     for group in _groups(proc, cgroups, controller):
-        if controller == "pids":
-            names = (("pids.max", "pids.current", ""),)
-        else:
-            names = (("memory.max", "memory.current", "inactive_file"),)
-            names += (("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),)
-        for most, used, reclaimable in names:
+        for most, used, reclaimable in GROUP_FILES[controller]:
             words = _words(group / most)
             if not words or words[0] == "max" or int(words[0]) >= UNLIMITED:
                 continue

@@ -19,7 +19,6 @@ import stat
 import tempfile
 import time
 from contextlib import suppress
-from types import TracebackType
 from typing import Self
 
 from raygrid.node.errors import ArrayError
@@ -105,9 +104,7 @@ class Place:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.remove()
 
 

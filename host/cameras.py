@@ -120,8 +120,8 @@ def look_at_everything(bounds: ArrayLike, up: Vector = (0.0, 1.0, 0.0)) -> Camer
     offsets = corners - centre
     reach = np.maximum(np.abs(offsets @ right), np.abs(offsets @ lift)) * FRAME_MARGIN
     distance = float(np.max(reach / half - offsets @ forward))
-    # A scene of one point has no size to frame; any distance shows it.
-    eye = centre - forward * (distance if distance > 0.0 else 1.0)
+    # A scene of one point has no size to frame: stay so far away that the eye is another point, rounded too.
+    eye = centre - forward * (max(distance, 1e-6 * float(np.abs(centre).max())) or 1.0)
     return Camera(_triple(eye), _triple(forward), _triple(right), _triple(lift), half, Span.NARROW)
 
 

@@ -130,17 +130,24 @@ def _machine_lights(lights: NDArray[Any], world: World) -> NDArray[Any]:
     return moved
 
 
-def samples_expected(job: Job) -> int:
-    """About how many samples enter the world box: from a coarse grid of rays, for the progress bar."""
-    frame = job.frame
-    i = (np.arange(min(frame.width, 64)) + 0.5) * frame.width / min(frame.width, 64) - 0.5
-    j = (np.arange(min(frame.height, 64)) + 0.5) * frame.height / min(frame.height, 64) - 0.5
-    at = np.stack(np.meshgrid(np.ones(1), i, j, indexing="ij"), axis=-1).reshape(-1, 3)
-    at = np.stack((np.ones(len(at)), at[:, 1], at[:, 2]), axis=1)
-    origin, direction = at @ frame.camera[:3], at @ frame.camera[3:]
-    half = HALF * np.array(job.space.step)
+def rays_enter(job: Job, i: NDArray[np.float64], j: NDArray[np.float64], shrink: float = 0.0) -> NDArray[np.bool_]:
+    """Whether the eye's rays through image points (i, j), each (n,), enter the world box, made smaller by
+    `shrink` machine units on every side. Plain numpy: it also serves as a check of the nodes' arithmetic."""
+    at = np.stack((np.ones(len(i)), i, j), axis=1)
+    origin, direction = at @ job.frame.camera[:3], at @ job.frame.camera[3:]
+    half = HALF * np.array(job.space.step) - shrink
     with np.errstate(divide="ignore", invalid="ignore"):
         a, b = (-half - origin) / direction, (half - origin) / direction
     near, far = np.fmin(a, b).max(axis=1), np.fmax(a, b).min(axis=1)
-    share = np.count_nonzero(np.maximum(near, 0.0) <= far) / len(at)
-    return max(1, math.ceil(share * job.pixels * frame.samples))
+    entered: NDArray[np.bool_] = np.maximum(near, 0.0) <= far
+    return entered
+
+
+def samples_expected(job: Job) -> int:
+    """About how many samples enter the world box: from a coarse grid of rays, for the progress bar."""
+    frame = job.frame
+    across, down = min(frame.width, 64), min(frame.height, 64)
+    i = (np.arange(across) + 0.5) * frame.width / across - 0.5
+    j = (np.arange(down) + 0.5) * frame.height / down - 0.5
+    entered = rays_enter(job, np.tile(i, down), np.repeat(j, across))
+    return max(1, math.ceil(np.count_nonzero(entered) / len(entered) * job.pixels * frame.samples))

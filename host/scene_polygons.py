@@ -90,8 +90,8 @@ def triangulate(points: F64, starts: Ints) -> tuple[Ints, Ints, int]:
     """Cut polygons into triangles that keep their vertices and their front.
 
     Convex ones become a fan around their first vertex, the others lose ear after ear. Returns the triangles as rows of
-    `points`, (t, 3), the polygon that each belongs to, (t,), ascending, and how many polygons cross themselves (their
-    triangles are a guess).
+    `points`, (t, 3), the polygon that each belongs to, (t,), ascending, and how many polygons did not come apart into
+    ears, which only those that cross themselves can fail to do (their triangles are a guess).
     """
     convex = convex_polygons(points, starts)
     pieces = np.maximum(np.diff(starts) - 2, 0)
@@ -121,7 +121,7 @@ def _unit(vectors: F64) -> F64:
 
 
 def _clip_ears(points: F64) -> tuple[Ints, bool]:
-    """Triangles of one polygon, (m - 2, 3), and whether it has ears to the end, as each does that crosses nowhere."""
+    """Triangles of one polygon, (m - 2, 3), and whether it had ears to the end, as each has that crosses nowhere."""
     normal = area_vectors(points, np.array((0, len(points)), np.int64))[0]
     axis = int(np.argmax(np.abs(normal)))
     # Drop the axis along which the polygon is seen best; the order of the others keeps it counter-clockwise.
@@ -137,6 +137,8 @@ def _clip_ears(points: F64) -> tuple[Ints, bool]:
         ears.append((left[ear - 1], left[ear], left[(ear + 1) % len(left)]))
         del left[ear]
     ears.append((left[0], left[1], left[2]))
+    a, b, c = plane[left]
+    clean = clean and float(_cross(b - a, c - b)) >= -CONVEX * abs(float(normal[axis]))
     return np.array(ears, np.int64), clean
 
 

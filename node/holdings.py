@@ -123,7 +123,8 @@ def _polygons(points, starts, most_bins, planes, headers, bins, edges):
         count = most_bins[row]
         while count > 1 and _count_in_bins(points, first, last, v, low, count / (high - low), count) > 8 * (last - first):
             count //= 2
-        scale = count / (high - low)
+        # a little less, so that rounding cannot lift what is just below the top over the last strip
+        scale = count / (high - low) * (1.0 - 2.0**-50)
         headers[row, POLY_DROP], headers[row, POLY_BIN_START], headers[row, POLY_BINS] = drop, next_bin, count
         planes[row, PLANE_FIRST_BIN], planes[row, PLANE_BIN_SCALE] = low, scale
         for strip in range(count):

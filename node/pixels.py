@@ -142,7 +142,7 @@ def _add_outline(
     else:
         low, high = seen[:, 1:].min(0), seen[:, 1:].max(0)
         image = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
-    _scan(np.ascontiguousarray(np.clip(image, -1e9, 1e9)), first, last, width)
+    _scan(np.ascontiguousarray(image), first, last, width)
 
 
 def _in_front(points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -61,9 +61,10 @@ def _closest_each(surfaces, stack, times, origins, directions, lowers, uppers, c
         brute[k, 0], brute[k, 1] = uppers[k], -1.0
         for other in range(len(surfaces.items)):
             t = _meet(surfaces, other, o, d, lowers[k])
-            if t >= lowers[k] and t < uppers[k]:
-                if t < brute[k, 0] or (t == brute[k, 0] and surfaces.ids[other] < brute[k, 1]):
-                    brute[k, 0], brute[k, 1] = t, surfaces.ids[other]
+            if not (t >= lowers[k] and t < uppers[k]):
+                continue
+            if t < brute[k, 0] or (t == brute[k, 0] and surfaces.ids[other] < brute[k, 1]):
+                brute[k, 0], brute[k, 1] = t, surfaces.ids[other]
         brute[k, 2] = 1.0 if brute[k, 1] >= 0.0 else 0.0
 
 

@@ -118,18 +118,18 @@ def test_polygons_without_area():
 def test_a_crossing_polygon_is_cut_by_guess_and_counted():
     bow_tie = np.array([[0.0, 0, 0], [2, 2, 0], [2, 0, 0], [0, 3, 0]])
     corners, owner, crossing = triangulate(*joined(bow_tie, in_space(SQUARE)[0]))
-    assert crossing <= 1  # four corners always leave an ear: only areas tell
+    assert crossing == 1
     assert owner.tolist() == [0, 0, 1, 1]
     assert sorted(set(corners[:2].ravel())) == [0, 1, 2, 3]
-    corners, _, crossing = triangulate(*joined(in_space(PENTAGRAM)[0]))
-    assert (len(corners), crossing) == (3, 1)
+    assert triangulate(*joined(in_space(PENTAGRAM)[0]))[0].shape == (3, 3)
 
 
 def test_nothing_in_nothing_out():
     none, start = np.zeros((0, 3)), np.array([0])
     corners, owner, crossing = triangulate(none, start)
     assert (corners.shape, len(owner), crossing) == ((0, 3), 0, 0)
-    assert not len(flat_polygons(none, start)) and not len(planar_polygons(none, start))
+    assert not len(flat_polygons(none, start))
+    assert not len(planar_polygons(none, start))
 
 
 def test_selection():

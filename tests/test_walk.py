@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from fractions import Fraction
 
@@ -99,7 +100,7 @@ def test_walk_against_fractions(data, space, d):
     check_against_fractions(space, origin, d, path)
     assert len(path) <= sum(space.shape) - 2
     assert path[0][1] < 0.0
-    for (_, t_in, t_out, _), (_, t_in_next, t_out_next, _) in zip(path, path[1:], strict=False):
+    for (_, t_in, t_out, _), (_, t_in_next, t_out_next, _) in itertools.pairwise(path):
         assert t_in <= t_out, "the intervals of the cells run backwards"
         assert t_in_next == t_out, "the two nodes at a face disagree on its time"
         assert t_out_next >= t_in_next
@@ -222,5 +223,5 @@ def check_bounds(space: Space, grid: dict[Index, Cell], index: Index, cell: Cell
     [[0], [0, LATTICE - 1], [1, LATTICE], [0, HALF, HALF + THINNEST_CELL - 1, LATTICE], [0, HALF, HALF, LATTICE]],
 )
 def test_planes_that_cannot_be_are_refused(line):
-    with pytest.raises(SceneError, match="planes of axis y: came .*, wanted ascending from 0 to 16777216, 64 or more"):
+    with pytest.raises(SceneError, match=r"planes of axis y: came .*, wanted ascending from 0 to 16777216, 64 or more"):
         make_space((2.0**-23,) * 3, [even_planes(1), line, even_planes(1)])
