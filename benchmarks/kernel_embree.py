@@ -2,12 +2,12 @@
 
     python benchmarks/kernel_embree.py [scene.nff ...]
 
-Meshes: the triangles and smooth patches of the NFF scenes that are named, and a terrain of 100,352 triangles. Rays: `eye`
-(a grid of rays from a point outside: neighbours in the batch take like paths) and `bounce` (from the points
+Meshes: the triangles and smooth patches of the NFF scenes that are named, and a terrain of 100,352 triangles. Rays:
+`eye` (a grid of rays from a point outside: neighbours in the batch take like paths) and `bounce` (from the points
 that these hit, in random directions: they do not). Both programs take one ray at a time and give t and the triangle.
 Runs alternate A B A B; the figures are medians, with the fastest and slowest in brackets.
 
-Embree is bound by `embreex`, whose loop round it is compiled; it is measured as "empty" on a mesh that no ray meets. Its
+Embree is bound by `embreex`, whose loop round it is compiled; "empty" is its time for a mesh that no ray meets. Its
 boxes and triangle test are binary32, ours are binary32 and binary64. Wall-clock figures of this computer.
 """
 
@@ -47,7 +47,7 @@ def _trace(surfaces, origins, directions, stack, times, found, counts):  # type:
         o = (np.float64(origins[k, 0]), np.float64(origins[k, 1]), np.float64(origins[k, 2]))
         d = (np.float64(directions[k, 0]), np.float64(directions[k, 1]), np.float64(directions[k, 2]))
         inv = (inverse(d[0]), inverse(d[1]), inverse(d[2]))
-        t, item, _, _ = closest(surfaces, stack, times, o, d, inv, T_MIN, FAR_AWAY, counts)
+        t, item, _, _ = closest(surfaces, stack, o, d, inv, T_MIN, FAR_AWAY, counts)
         times[k], found[k] = t, np.int64(surfaces.ids[item]) if item >= 0 else -1
 
 

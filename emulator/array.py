@@ -5,7 +5,8 @@
         array.driver.trace(frame)
         sums, samples = array.driver.collect(frame.width * frame.height)
 
-`begin` starts the nursery and returns at once, so that a scene can be read meanwhile; `launch` waits.
+`begin` starts the nursery and returns at once, so that a scene can be read meanwhile; `launch` waits. What takes half a
+second to import, because it brings in numba, is imported only then: the nursery does the same at the same time.
 """
 
 from __future__ import annotations
@@ -14,20 +15,20 @@ import contextlib
 import secrets
 from collections.abc import Callable
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import zmq
 
 from raygrid.node.errors import ArrayError, LostProcess, RaygridError
-from raygrid.node.flood import corners
-from raygrid.node.pair import Pair
-from raygrid.node.walk import HOST
 
-from .driver import PATIENCE, Driver
 from .launch import Ended, Nursery, Warming
 from .limits import check_fits
-from .places import Place, endpoint, host_endpoint
-from .topology import Index, host_links, indices, neighbour_links
+from .places import Index, Place, endpoint, host_endpoint
+
+if TYPE_CHECKING:
+    from raygrid.node.pair import Pair
+
+    from .driver import Driver
 
 BATCH = 1024  # most packets a message
 EPOCH = 0
@@ -40,14 +41,14 @@ class Array:
 
     shape    processors on each axis
     batch    most packets a message, 1 or more
-    patience seconds without any progress after which the array is taken to hang
+    patience seconds without any progress after which the array is taken to hang (`driver.PATIENCE`)
     """
 
     def __init__(
         self,
         shape: Index,
         batch: int = BATCH,
-        patience: float = PATIENCE,
+        patience: float | None = None,
         on_warming: Callable[[int, int, str], None] | None = None,
     ) -> None:
         check_fits(shape)
@@ -84,12 +85,18 @@ class Array:
     def begin(self) -> None:
         """Start the nursery, which warms up while the caller does other things."""
         self._place = Place.create(self.shape)
-        self._nursery = Nursery.start(on_warming=self._on_warming)
+        self._nursery = Nursery.start(on_warming=self._on_warming, directory=self._place.path)
 
     def wait_ready(self) -> None:
         """Fork the nodes once the nursery is warm, and wait until every link is up."""
         if self._nursery is None or self._place is None:
             raise ArrayError("the array has not begun")
+        from raygrid.node.flood import corners
+        from raygrid.node.pair import Pair
+
+        from .driver import PATIENCE, Driver
+        from .topology import host_links
+
         self._nursery.wait_warm(WARM_SECONDS)
         machine = secrets.token_hex(8)
         self.pids = self._nursery.launch(self._configs(machine))
@@ -100,11 +107,17 @@ class Array:
             self._poller.register(pair.socket, zmq.POLLIN)
         self._poller.register(self._nursery.fileno(), zmq.POLLIN)
         links = host_links(self.shape, self._pairs, machine, EPOCH)
-        self._driver = Driver(self.shape, links, self._pump, self.patience)
+        patience = PATIENCE if self.patience is None else self.patience
+        self._driver = Driver(self.shape, links, self._pump, patience)
         self._driver.ready()
 
     def _configs(self, machine: str) -> list[dict[str, Any]]:
         """What each node is told: itself, its ports and their endpoints, and nothing of any other node."""
+        from raygrid.node.flood import corners
+        from raygrid.node.walk import HOST
+
+        from .topology import indices, neighbour_links
+
         assert self._place is not None
         place = self._place.path
         links: dict[Index, list[dict[str, Any]]] = {index: [] for index in indices(self.shape)}

@@ -6,6 +6,7 @@ runs the nodes (in-memory array) and then lets the driver receive.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -30,6 +31,9 @@ CHUNK_BYTES = 1 << 16  # surfaces in a message
 BUDGET = 262_144  # packets in flight below which primaries are admitted
 PATIENCE = 30.0  # seconds without any progress after which the array is taken to hang
 HOLD = 0.02  # seconds for which a busy node may hold a wave, and a millisecond more for every node
+LINGER = 0.015  # seconds for which a node waits for more packets, at most
+GATHER = 0.5  # part of the mean share of packets that it waits for
+LEAST_SHARE = 256  # packets a node below which nobody waits
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,7 @@ class Driver:
     ) -> None:
         self.shape, self.links, self._pump, self.patience = shape, links, pump, patience
         self.nodes = shape[0] * shape[1] * shape[2]
+        self._processors = len(os.sched_getaffinity(0))
         self._wave_number = 0
         self._answer: dict[str, Any] | None = None
         self._sums: NDArray[np.int64] | None = None
@@ -171,7 +176,18 @@ class Driver:
                 raise Stuck(self._why_stuck(now))
             before = now
             quota = max(0, budget - now.in_flight) // max(now.homes_left, 1)
-            answer = self.wave({"do": "trace", "quota": quota, "hold": hold})
+            answer = self.wave({"do": "trace", "quota": quota, "hold": hold, **self._gathering(now)})
+
+    def _gathering(self, now: Progress) -> dict[str, Any]:
+        """How many packets a node should gather before it takes a turn, and how long it may wait for them.
+
+        With more nodes than processors of this computer, a node that wakes for every message does little but wake.
+        A node waits for a part of the mean share, so some node always has enough; the tail of a pass waits for nothing.
+        """
+        share = now.in_flight // self.nodes
+        if self.nodes <= self._processors or share < LEAST_SHARE:
+            return {"gather": 0, "linger": 0.0}
+        return {"gather": int(share * GATHER), "linger": LINGER}
 
     def _why_stuck(self, now: Progress) -> str:
         waiting = [

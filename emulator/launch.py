@@ -1,11 +1,9 @@
 """The front end's side of the nursery: start it, launch nodes, hear of their ends, and leave no process behind.
 
-    with Nursery.start(on_warming=show) as nursery:
-        ...                                   # read the scene while the kernels are loaded or compiled
+    with Nursery.start() as nursery:  # returns at once; read the scene while it warms
         nursery.wait_warm(timeout=300)
-        nursery.launch(configs)               # one map a node, with its "index"
-        ...                                   # poll nursery.fileno(); when it can be read:
-        for event in nursery.read_events():   # a node has ended
+        nursery.launch(configs)  # one map a node, with its "index"
+        ...  # poll nursery.fileno(), and when it can be read, nursery.read_events()
 
 What nodes and nursery write to stderr comes here, not to the terminal, and becomes part of the error that tells
 of their end; with RAYGRID_DEBUG set it is copied to the terminal as well. Nothing here blocks longer than its
@@ -16,6 +14,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import math
 import os
 import select
 import signal
@@ -33,7 +32,7 @@ from .nursery import DEBUG, LAST_WAIT, Control, Message, open_pidfd
 from .places import Index
 
 LONGEST_TAIL = 16_384  # characters of stderr that are kept
-LAST_LINES = 3  # of them in an error message
+SIGNALS = {number.value: number.name for number in signal.Signals}
 # One thread a process: a fork copies only one, and the array itself is the parallelism.
 ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -51,12 +50,10 @@ class Warming(NamedTuple):
 
 @dataclass(frozen=True)
 class Ended:
-    """A node has ended.
+    """The node with coordinates `index` has ended.
 
-    pid      its process id
-    index    its coordinates
     status   its exit code, or minus the number of the signal that ended it
-    words    what it wrote last: its error, "" if it wrote none
+    words    its error as it wrote it, "" if it wrote none
     """
 
     pid: int
@@ -72,7 +69,7 @@ class Ended:
     @property
     def signal(self) -> str | None:
         """The name of the signal that ended it, such as "SIGKILL"; None if it exited."""
-        return None if self.status >= 0 else _signal_name(-self.status)
+        return SIGNALS.get(-self.status, str(-self.status)) if self.status < 0 else None
 
     @property
     def why(self) -> str:
@@ -192,8 +189,12 @@ class Nursery:
         gets it with tuples for lists. Waits until the nursery is warm. Either all are forked or none:
         raises ArrayError if not, LostProcess if the nursery ends meanwhile.
         """
-        _check(configs)
+        for config in configs:
+            index = config.get("index")
+            if not (isinstance(index, (list, tuple)) and [type(axis) for axis in index] == [int] * 3):
+                raise ArrayError(f'a config came with index {index!r}, wanted three whole numbers under "index"')
         self.wait_warm(timeout)
+        self._check_alive()
         self._reply, self._asked = None, configs
         try:
             self._control.send({"do": "launch", "configs": list(configs)})
@@ -201,7 +202,7 @@ class Nursery:
             raise ArrayError(f"a node's config cannot be sent: {error}; wanted what msgpack can carry") from error
         self._wait(lambda: self._reply is not None, timeout, f"fork {len(configs)} nodes")
         reply: Message = self._reply or {}
-        if reply["is"] == "refused":
+        if "pids" not in reply:
             raise ArrayError(f"the array could not be launched: {reply['why']}")
         return list(reply["pids"])
 
@@ -221,11 +222,11 @@ class Nursery:
         return events
 
     def _wait(self, done: Callable[[], bool], timeout: float | None, what: str) -> None:
-        deadline = None if timeout is None else time.monotonic() + timeout
+        deadline = time.monotonic() + (math.inf if timeout is None else timeout)
         while not done():
             self._check_alive()
-            left = None if deadline is None else deadline - time.monotonic()
-            if left is not None and left <= 0:
+            left = deadline - time.monotonic()
+            if left <= 0:
                 raise ArrayError(f"the nursery (process {self.pid}) did not {what} within {timeout:g} seconds")
             self._attend(left)
 
@@ -233,19 +234,23 @@ class Nursery:
         if self._ended:
             raise ArrayError("the nursery was ended, wanted one that serves")
         if self._dead:
-            last = self._stderr.last_lines()
-            said = f": {last}" if last else ", without a word"
-            kind = LostProcess if self.warm else ArrayError
-            when = "" if self.warm else " before it was warm"
-            raise kind(f"the nursery (process {self.pid}) ended by {_how(self._status())}{when}{said}")
+            kind, when = (LostProcess, "") if self.warm else (ArrayError, " before it was warm")
+            said = self._stderr.last_lines() or "without a word"
+            raise kind(f"the nursery (process {self.pid}) ended by {_how(self._status())}{when}: {said}")
 
     def _status(self) -> int:
-        """How the nursery ended; it stays a zombie until `end`, so that its process group keeps its name."""
+        """How the dead nursery ended; it stays a zombie until `end`, so that its process group stays its own."""
         try:
             found = os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT)
         except ChildProcessError:  # the program ignores SIGCHLD
             return 0
         return 0 if found is None else found.si_status if found.si_code == os.CLD_EXITED else -found.si_status
+
+    def _kill(self, number: int, group: bool = False) -> None:
+        """Send the nursery a signal, or its group; nobody, if its process id may be another's by now."""
+        with contextlib.suppress(ChildProcessError, ProcessLookupError):
+            os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG)
+            (os.killpg if group else os.kill)(self.pid, number)
 
     def _sources(self) -> set[int]:
         """The descriptors that may still bring something."""
@@ -253,20 +258,19 @@ class Nursery:
         sources |= set() if self._stderr.closed else {self._stderr.descriptor}
         return {source for source in sources if source is not None}
 
-    def _attend(self, timeout: float | None) -> None:
+    def _attend(self, timeout: float) -> None:
         """Wait for anything, at most `timeout` seconds, and take in all that has come."""
         poller = select.poll()
         for source in self._sources():
             writing = source == self._control.socket.fileno() and self._control.unsent
             poller.register(source, select.POLLIN | (select.POLLOUT if writing else 0))
-        ready = dict(poller.poll(None if timeout is None else max(timeout, 0.0) * 1000))
+        ready = dict(poller.poll(None if timeout == math.inf else timeout * 1000))
         if not ready or self._dead:
             self._stderr.read()
             return
         self._control.flush()
         messages = self._control.receive()
-        # After the reports: a node's words were in the pipe before its end was known.
-        self._stderr.read()
+        self._stderr.read()  # after the reports: a node's words were there before its end was known
         self._dead = self._control.closed or self._pidfd in ready
         for message in messages:
             self._hear(message)
@@ -288,10 +292,9 @@ class Nursery:
             index: Index = message["index"]
             self._pids.pop(message["pid"], None)
             self._events.append(Ended(message["pid"], index, message["status"], self._stderr.take(index)))
-        else:
-            if kind == "launched":
-                indices = (tuple(config["index"]) for config in self._asked)
-                self._pids.update(zip(message["pids"], indices, strict=True))
+        else:  # launched, or refused
+            indices = (tuple(config["index"]) for config in self._asked)
+            self._pids.update(zip(message.get("pids", ()), indices, strict=False))
             self._reply = message
 
     # --- its end ---------------------------------------------------------------------------------
@@ -311,19 +314,21 @@ class Nursery:
             self._ended = True
             self._pids.clear()
             atexit.unregister(self.end)
-            self._close()
+            self._epoll.close()
+            self._control.socket.close()
+            for descriptor in (self._held, self._stderr.descriptor, self._pidfd):
+                if descriptor is not None:
+                    os.close(descriptor)
 
     def _end_processes(self, timeout: float) -> None:
         self._on_warming = None
         try:
             self._control.send({"do": "end"})
             if not self.warm:
-                os.kill(self.pid, signal.SIGTERM)  # it is busy compiling, and does not listen
+                self._kill(signal.SIGTERM)  # it is busy compiling, and does not listen
             self._wait_gone(timeout)
         finally:  # also after a second Ctrl-C
-            # The group outlives the nursery until it is waited for, so this cannot hit strangers.
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.killpg(self.pid, signal.SIGKILL)
+            self._kill(signal.SIGKILL, group=True)
             self._wait_gone(LAST_WAIT)
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(LAST_WAIT)
@@ -341,13 +346,6 @@ class Nursery:
             if left <= 0:
                 return
             self._attend(left)
-
-    def _close(self) -> None:
-        self._epoll.close()
-        self._control.socket.close()
-        for descriptor in (self._held, self._stderr.descriptor, self._pidfd):
-            if descriptor is not None:
-                os.close(descriptor)
 
     def __enter__(self) -> Self:
         return self
@@ -381,8 +379,10 @@ class _Words:
         *lines, self._line = (self._line + text).split("\n")
         self._line = self._line[-LONGEST_TAIL:]
         for line in lines:
-            if line.startswith("raygrid node "):
-                node, _, words = line.removeprefix("raygrid node ").partition(": ")
+            # Not only at its head: a node that crashes in the midst of a line leaves it unfinished.
+            _, found, rest = line.partition("raygrid node ")
+            if found:
+                node, _, words = rest.partition(": ")
                 self._of_node[node] = words
 
     def take(self, index: Index) -> str:
@@ -390,25 +390,9 @@ class _Words:
         return self._of_node.pop(",".join(map(str, index)), "")
 
     def last_lines(self) -> str:
-        """The last lines written, in one."""
-        lines = [line.strip() for line in self.tail.splitlines() if line.strip()]
-        return " / ".join(lines[-LAST_LINES:])
-
-
-def _check(configs: Sequence[Message]) -> None:
-    """Raise ArrayError unless each config says which node it is for."""
-    for config in configs:
-        index = config.get("index")
-        if not (isinstance(index, (list, tuple)) and len(index) == 3 and all(isinstance(axis, int) for axis in index)):
-            raise ArrayError(f'a node\'s config came with index {index!r}, wanted three whole numbers under "index"')
+        """The last three lines written, in one."""
+        return " / ".join([line.strip() for line in self.tail.splitlines() if line.strip()][-3:])
 
 
 def _how(status: int) -> str:
-    return f"exit code {status}" if status >= 0 else f"signal {_signal_name(-status)}"
-
-
-def _signal_name(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:
-        return str(number)
+    return f"exit code {status}" if status >= 0 else f"signal {SIGNALS.get(-status, -status)}"

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import os
 import resource
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
-from math import prod
+from math import ceil, floor, prod
 from pathlib import Path
 from typing import NamedTuple
 
@@ -83,7 +83,7 @@ class Demand(NamedTuple):
         """What so many nodes need, and what there is, in words."""
         need, left = self.fixed + self.a_node * nodes, max(self.bound.left, 0)
         if self.in_bytes:
-            return f"{_bytes_text(need)} {self.what}, and {self.bound.limit} leaves {_bytes_text(left)}"
+            return f"{_bytes_text(need, ceil)} {self.what}, and {self.bound.limit} leaves {_bytes_text(left, floor)}"
         return f"{need} {self.what}, and {self.bound.limit} leaves {left}"
 
 
@@ -132,9 +132,9 @@ def check_fits(
 def largest_that_fits(resources: Resources, *, bytes_per_node: int = NODE_BYTES, surface_bytes: int = 0) -> Shape:
     """The largest cubic array for which the resources suffice; (0, 0, 0) if they do not suffice for one node."""
     nodes = min(demand.most_nodes() for demand in _demands(resources, bytes_per_node, surface_bytes))
-    side = 0
-    while (side + 1) ** 3 <= nodes and side < LARGEST_AXIS:
-        side += 1
+    side = min(round(nodes ** (1 / 3)), LARGEST_AXIS)
+    if side**3 > nodes:
+        side -= 1
     return side, side, side
 
 
@@ -152,11 +152,12 @@ def _shape_text(shape: Shape) -> str:
     return "x".join(str(cells) for cells in shape)
 
 
-def _bytes_text(number: int) -> str:
+def _bytes_text(number: int, rounded: Callable[[float], int]) -> str:
+    """Bytes with their unit; rounded up for a need and down for a rest, so that the two never look equal."""
     for size, unit in ((10**12, "TB"), (10**9, "GB")):
         if number >= size:
-            return f"{number / size:.1f} {unit}"
-    return f"{number / 10**6:.0f} MB"
+            return f"{rounded(number / size * 10) / 10:.1f} {unit}"
+    return f"{rounded(number / 10**6)} MB"
 
 
 def _shorten(text: str) -> str:

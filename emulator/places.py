@@ -156,9 +156,7 @@ def _is_stale(directory: str) -> bool:
         with open(os.path.join(directory, PID_FILE), encoding="ascii") as file:
             mark = file.read(200)
         pid, _, namespace = mark.split()
-    except FileNotFoundError:
-        return _age(directory) > UNSIGNED_AGE
-    except (OSError, ValueError):  # half written; UnicodeDecodeError is a ValueError
+    except (OSError, ValueError):  # not there, or half written
         return _age(directory) > UNSIGNED_AGE
     if namespace != _namespace() or not pid.isdigit():
         return False
@@ -221,11 +219,14 @@ def _fresh_name() -> str:
 def _make(base: str) -> str:
     """Make and sign a fresh directory in `base`. Raises OSError."""
     path = os.path.join(base, _fresh_name())
+    mark = process_mark(os.getpid())
+    if mark is None:
+        raise OSError("/proc does not show this process")
     os.mkdir(path, 0o700)  # fails if anything has that name, a dangling link too
     try:
         os.chmod(path, 0o700)  # a strange umask may have taken our own rights away
         with open(os.path.join(path, PID_FILE), "x", encoding="ascii") as file:
-            file.write(f"{process_mark(os.getpid())}\n")
+            file.write(f"{mark}\n")
     except BaseException:
         remove(path)
         raise

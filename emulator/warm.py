@@ -1,7 +1,8 @@
 """Make every kernel ready before the first node needs it: loaded from the cache on disk, or compiled once.
 
 A tiny in-memory array renders a tiny scene that has every kind of surface, light and ray, so every kernel is
-called with exactly the argument types that nodes use.
+called with exactly the argument types that nodes use. Each function that has to be compiled is reported, so that
+the half minute of a first run can be seen to go on.
 """
 
 from __future__ import annotations
@@ -9,8 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numba.core import event
 
 from raygrid.node.lattice import make_space
+from raygrid.node.misses import add_missed
 from raygrid.node.packets import LATTICE
 from raygrid.node.surfaces import STORED_AS, Batch, Kind, SurfaceSet
 from raygrid.node.tables import LIGHT_COLUMNS, MATERIAL_COLUMNS, Frame
@@ -20,21 +23,41 @@ from .memory_array import MemoryArray
 Report = Callable[[int, int, str], None]
 
 
+KERNELS = 183  # functions that a first run compiles (counted); one more or less moves only the progress bar
+
+
+class Compilations(event.Listener):
+    """Reports every function that numba has compiled and not found in its cache."""
+
+    def __init__(self, report: Report) -> None:
+        self._report = report
+        self.done = 0
+
+    def on_start(self, event: event.Event) -> None:
+        """Nothing is done yet."""
+
+    def on_end(self, event: event.Event) -> None:
+        """One more."""
+        self.done += 1
+        name = event.data["dispatcher"].py_func.__name__.strip("_")
+        self._report(self.done, max(KERNELS, self.done + 1), f"compiling {name}")
+
+
 def warm(report: Report) -> None:
-    """Call every kernel once. `report(done, total, what)` is called before each stage and at the end."""
-    array = MemoryArray((2, 1, 1))
-    half = LATTICE // 2
-    space = make_space((2.0**-24, 2.0**-24, 2.0**-24), [[0, half, LATTICE], [0, LATTICE], [0, LATTICE]])
-    stages: list[tuple[str, Callable[[], object]]] = [
-        ("links and waves", array.driver.ready),
-        ("surfaces and hierarchy", lambda: array.driver.load(space, _one_of_each())),
-        ("ray step", lambda: array.driver.trace(_frame())),
-        ("pixels", lambda: array.driver.collect(64)),
-    ]
-    for number, (what, stage) in enumerate(stages):
-        report(number, len(stages), what)
-        stage()
-    report(len(stages), len(stages), "ready")
+    """Call every kernel once. `report(done, total, what)` is called at the start, after each function that was
+    compiled ("compiling ..."), and at the end; of what is in the cache it hears nothing."""
+    report(0, KERNELS, "loading kernels")
+    with event.install_listener("numba:compile", Compilations(report)):
+        array = MemoryArray((2, 1, 1))
+        half = LATTICE // 2
+        space = make_space((2.0**-24, 2.0**-24, 2.0**-24), [[0, half, LATTICE], [0, LATTICE], [0, LATTICE]])
+        frame = _frame()
+        array.driver.ready()
+        array.driver.load(space, _one_of_each())
+        array.driver.trace(frame)
+        sums, _ = array.driver.collect(frame.width * frame.height)
+        add_missed(frame, space.step, sums)
+    report(KERNELS, KERNELS, "ready")
 
 
 def _one_of_each() -> SurfaceSet:

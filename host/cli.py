@@ -1,19 +1,29 @@
 """The command line. Heavy libraries are imported by the commands that need them, so that --help is quick.
 
-Exit codes: 0 done, 1 failed, 2 usage. Results go to standard output, talk to standard error.
+Exit codes: 0 done, 1 failed, 2 usage, 128 + n ended by signal n (Ctrl-C: 130). Results go to standard output, talk and
+errors to standard error, an error being one line; --debug, or the variable RAYGRID_DEBUG, adds tracebacks.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
+import signal
 import sys
 import traceback
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
 
 import click
+
+if TYPE_CHECKING:
+    AnyType = click.ParamType[Any]
+else:
+    AnyType = click.ParamType  # not generic before click 8.4
+
+DEBUG = "RAYGRID_DEBUG"
 
 EXAMPLES = """\b
 Examples:
@@ -22,28 +32,42 @@ Examples:
   raygrid render balls.nff --split uniform -o balls.npy --stats balls.json
   raygrid info scenes/room.glb
 """
+RENDER_EXAMPLES = """\b
+Examples:
+  raygrid render scenes/room.glb
+  raygrid render scenes/glass.toml --array 3x3x3 --size 800x600 --samples 4 -o glass.png
+  raygrid render bunny.ply -o bunny.png -o bunny.npy --stats bunny.json
+  raygrid render balls.nff --array 4x4x1 --split uniform --batch 1
+
+.npy holds the exact sums as int64, height x width x 3: linear radiance x 2^24, added over the samples of a pixel.
+docs/stats.md says what the statistics mean.
+"""
+INFO_EXAMPLES = """\b
+Examples:
+  raygrid info scenes/room.glb
+  raygrid info --json bunny.ply
+"""
 
 
-class Pair(click.ParamType[Any]):
+class Pair(AnyType):
     """Two whole numbers, `512x384`."""
 
-    name = "WxH"
+    name = "pair"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
         """Raises a usage error for anything else."""
         numbers = str(value).lower().split("x")
         if len(numbers) != 2 or not all(number.isascii() and number.isdigit() for number in numbers):
-            self.fail(f"came as {value!r}, wanted two whole numbers such as 512x512", param, ctx)
-        width, height = int(numbers[0]), int(numbers[1])
-        if width < 1 or height < 1:
-            self.fail(f"came as {value!r}, wanted sides of 1 or more", param, ctx)
-        return width, height
+            self.fail(f"{_shorten(value)} came, wanted two whole numbers such as 512x384", param, ctx)
+        if any(len(number) > 9 or int(number) < 1 for number in numbers):
+            self.fail(f"{_shorten(value)} came, wanted sides of 1 to 65536", param, ctx)
+        return int(numbers[0]), int(numbers[1])
 
 
-class Shape(click.ParamType[Any]):
+class Shape(AnyType):
     """An array, `2x2x2`."""
 
-    name = "NXxNYxNZ"
+    name = "shape"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int, int]:
         """Raises a usage error for anything but three whole numbers of 1 or more."""
@@ -57,43 +81,89 @@ class Shape(click.ParamType[Any]):
             self.fail(str(error), param, ctx)
 
 
+class Number(AnyType):
+    """A number from `least` to `most`; whole if `least` is."""
+
+    name = "number"
+
+    def __init__(self, least: float, most: float) -> None:
+        self._least, self._most = least, most
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Raises a usage error for anything else, NaN too."""
+        whole = isinstance(self._least, int)
+        read: Callable[[str], float] = int if whole else float
+        try:
+            number = read(value) if len(str(value)) < 40 else math.nan
+        except ValueError:
+            number = math.nan
+        if not self._least <= number <= self._most:
+            kind = "whole number" if whole else "number"
+            self.fail(f"{_shorten(value)} came, wanted a {kind} from {self._least} to {self._most}", param, ctx)
+        return number
+
+
+def _shorten(value: Any) -> str:
+    text = str(value)
+    return repr(text if len(text) <= 40 else text[:37] + "...")
+
+
+def _debug_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    """--debug, understood before and after the command's name; `main` looks for it before anything else."""
+    return click.option("--debug", is_flag=True, expose_value=False, help="Show the tracebacks of errors.")(command)
+
+
 @click.group(epilog=EXAMPLES, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="raygrid")
-@click.option("--debug", is_flag=True, help="Show the traceback of an error.")
-@click.pass_context
-def cli(context: click.Context, debug: bool) -> None:
+@_debug_option
+def cli() -> None:
     """The parallel ray tracing computer of 1983: processors that each own a box of space and talk to their neighbours."""
-    context.obj = debug
 
 
-@cli.command(epilog=EXAMPLES)
+# fmt: off
+@cli.command(epilog=RENDER_EXAMPLES)
 @click.argument("scene", type=click.Path())
-@click.option("--array", "shape", type=Shape(), default="2x2x2", show_default=True, help="Processors on each axis.")
-@click.option("--size", type=Pair(), help="Pixels. [default: what the scene asks for, else 512x512]")
-@click.option("--samples", type=click.IntRange(min=1), help="Samples a pixel. [default: the scene's, else 1]")
-@click.option("--depth", type=click.IntRange(1, 31), help="Depth of the last hit that is lit. [default: the scene's, else 5]")
-@click.option("--min-weight", type=click.FloatRange(min=0.0), help="Rays fainter than this are not born. [default: the scene's, else 0]")
-@click.option("--highlights/--no-highlights", default=None, help="Phong highlights. [default: off for NFF, else on]")
-@click.option("--split", type=click.Choice(["balanced", "uniform"]), default="balanced", show_default=True, help="Where the planes between processors lie.")
-@click.option("--batch", type=click.IntRange(1, 8192), default=1024, show_default=True, help="Most packets a message; 1 is the machine of 1983.")
-@click.option("--budget", type=click.IntRange(min=1), default=262_144, show_default=True, help="Packets in flight below which new primary rays are admitted.")
-@click.option("--transfer", type=click.Choice(["srgb", "linear"]), default="srgb", show_default=True, help="From linear radiance to the bytes of a picture.")
-@click.option("-o", "--output", "outputs", multiple=True, type=click.Path(), help="Picture (.png and others), or .npy of the exact sums; may be repeated. [default: the scene's name with .png, here]")
-@click.option("--stats", type=click.Path(), help="Write what the machine did as JSON.")
-@click.option("--patience", type=click.FloatRange(min=0.1), default=30.0, show_default=True, help="Seconds without progress after which the array is taken to hang.")
-@click.option("-q", "--quiet", is_flag=True, help="No talk.")
+@click.option("--array", "shape", type=Shape(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
+              help="Processors on each axis.")
+@click.option("--size", type=Pair(), metavar="WxH", help="Pixels.  [default: what the scene asks for, else 512x512]")
+@click.option("--samples", type=Number(1, 1 << 32), metavar="N", help="Samples a pixel.  [default: the scene's, else 1]")
+@click.option("--depth", type=Number(1, 31), metavar="N",
+              help="Depth of the last hit that is lit, 1 to 31; the eye's ray has depth 1.  [default: the scene's, else 5]")
+@click.option("--min-weight", type=Number(0.0, 1e30), metavar="WEIGHT",
+              help="Rays fainter than this are not born.  [default: the scene's, else 0]")
+@click.option("--highlights/--no-highlights", default=None, help="Phong highlights.  [default: off for NFF, else on]")
+@click.option("--split", type=click.Choice(["balanced", "uniform"]), default="balanced", show_default=True,
+              help="Where the planes between processors lie: so that work is spread, or in equal boxes.")
+@click.option("--batch", type=Number(1, 8192), default=1024, show_default=True, metavar="PACKETS",
+              help="Most packets a message; 1 is the machine of 1983.")
+@click.option("--budget", type=Number(1, (1 << 32) - 1), default=262_144, show_default=True, metavar="PACKETS",
+              help="Packets in flight below which new primary rays are admitted.")
+@click.option("--transfer", type=click.Choice(["srgb", "linear"]), default="srgb", show_default=True,
+              help="From linear radiance to the bytes of a picture.")
+@click.option("-o", "--output", "outputs", multiple=True, type=click.Path(), metavar="FILE",
+              help="Picture (.png .jpg .webp .tif .bmp .ppm), or .npy of the exact sums; may be repeated.  "
+                   "[default: the scene's name with .png, here]")
+@click.option("--stats", type=click.Path(), metavar="FILE", help="Write what the machine did as JSON.")
+@click.option("--patience", type=Number(0.1, 1e9), default=30.0, show_default=True, metavar="SECONDS",
+              help="Time without any progress after which the array is taken to hang.")
+@click.option("-q", "--quiet", is_flag=True, help="No talk but errors. (Without a terminal there is hardly any.)")
+@_debug_option
+# fmt: on
 def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **options: Any) -> None:
     """Render SCENE (.nff .obj .ply .stl .glb .gltf .toml) on an array of processes."""
-    from raygrid.host.command_render import run_render
+    from raygrid.host.command_render import Request, default_outputs, run_render
 
-    run_render(scene, shape, outputs, **options)
+    names = ("batch", "budget", "transfer", "stats", "patience", "quiet")
+    machine = {name: options.pop(name) for name in names}
+    run_render(Request(scene, shape, outputs or default_outputs(scene), **machine, settings=options))
 
 
-@cli.command()
+@cli.command(epilog=INFO_EXAMPLES)
 @click.argument("scene", type=click.Path())
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
+@_debug_option
 def info(scene: str, as_json: bool) -> None:
-    """Say what is in SCENE."""
+    """Say what is in SCENE (.nff .obj .ply .stl .glb .gltf .toml)."""
     from raygrid.host.load import load_scene
     from raygrid.host.scene import describe
 
@@ -117,6 +187,8 @@ def _lines(facts: dict[str, Any], indent: str = "") -> Iterator[str]:
 
 
 def _short(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:.6g}"
     if isinstance(value, list):
@@ -124,41 +196,90 @@ def _short(value: Any) -> str:
     return "not set" if value is None else str(value)
 
 
+# --- errors, signals, exit codes -----------------------------------------------------------------
+
+
+class Ended(BaseException):
+    """A signal asked the program to end."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+
+def _end(number: int, _frame: Any) -> None:
+    raise Ended(number)
+
+
 @contextlib.contextmanager
-def _errors_as_lines(debug: bool) -> Iterator[None]:
-    """Known errors become one line and exit code 1; Ctrl-C one line and 130."""
+def _signals_as_exceptions() -> Iterator[None]:
+    """SIGTERM and SIGHUP end the program as Ctrl-C does: by way of everything that has to be cleaned up."""
+    before = {}
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        with contextlib.suppress(ValueError):  # not in the main thread
+            if signal.getsignal(number) is signal.SIG_DFL:
+                before[number] = signal.signal(number, _end)
     try:
         yield
-    except KeyboardInterrupt:
-        click.echo("raygrid: stopped", err=True)
-        raise SystemExit(130) from None
-    except Exception as error:
-        from raygrid.node.errors import RaygridError
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
-        if debug:
-            traceback.print_exc()
-        if isinstance(error, RaygridError):
-            click.echo(f"raygrid: {error}", err=True)
-        elif isinstance(error, MemoryError):
-            click.echo("raygrid: out of memory", err=True)
-        elif debug:
-            click.echo("raygrid: that was a bug", err=True)
-        else:
-            click.echo(f"raygrid: a bug: {type(error).__name__}: {error} (--debug shows where)", err=True)
-        raise SystemExit(1) from None
+
+def _run(arguments: list[str]) -> int:
+    """Run a command; returns the exit code. Known errors become one line."""
+    try:
+        with _signals_as_exceptions():
+            code = cli.main(args=arguments, prog_name="raygrid", standalone_mode=False)
+            sys.stdout.flush()
+        return code if isinstance(code, int) else 0
+    except click.exceptions.Exit as end:
+        return end.exit_code
+    except click.exceptions.NoArgsIsHelpError as error:
+        error.show()
+        return 2
+    except click.ClickException as error:
+        context = getattr(error, "ctx", None)
+        command = "raygrid" if context is None else context.command_path
+        _say(f"{command}: {' '.join(error.format_message().split())} ({command} --help says more)")
+        return 2
+    except (KeyboardInterrupt, click.exceptions.Abort):
+        _say("raygrid: stopped")
+        return 128 + signal.SIGINT
+    except Ended as error:
+        _say(f"raygrid: ended by {signal.Signals(error.number).name}")
+        return 128 + error.number
+    except BrokenPipeError:  # `raygrid info scene | head -1`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # so that closing standard output at exit says nothing
+        return 1
+    except Exception as error:
+        _say(_told(error))
+        return 1
+
+
+def _told(error: Exception) -> str:
+    """An error as one line, behind its traceback if that is wanted."""
+    from raygrid.node.errors import RaygridError
+
+    debug = bool(os.environ.get(DEBUG))
+    if debug:
+        traceback.print_exception(error)
+    if isinstance(error, RaygridError):
+        return f"raygrid: {' '.join(str(error).split())}"
+    if isinstance(error, MemoryError):
+        return "raygrid: out of memory"
+    where = "" if debug else " (raygrid --debug shows where)"
+    return f"raygrid: a bug: {type(error).__name__}: {' '.join(str(error).split())}{where}"
+
+
+def _say(line: str) -> None:
+    with contextlib.suppress(OSError, ValueError):
+        click.echo(line, err=True)
 
 
 def main(argv: list[str] | None = None) -> None:
     """Run a command. Always ends by SystemExit."""
     arguments = sys.argv[1:] if argv is None else argv
-    with _errors_as_lines("--debug" in arguments or bool(os.environ.get("RAYGRID_DEBUG"))):
-        try:
-            cli.main(args=arguments, prog_name="raygrid", standalone_mode=False)
-        except click.exceptions.Abort:
-            raise KeyboardInterrupt from None
-        except click.exceptions.Exit as end:
-            raise SystemExit(end.exit_code) from None
-        except click.ClickException as error:
-            error.show()
-            raise SystemExit(2) from None
-    raise SystemExit(0)
+    if "--debug" in arguments:
+        os.environ[DEBUG] = "1"  # the nodes look for it, too
+    raise SystemExit(_run(arguments))

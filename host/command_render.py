@@ -1,90 +1,129 @@
-"""The command `raygrid render`."""
+"""The command `raygrid render`.
+
+What is heavy to import (numba comes with it) is imported after the nursery was started, which imports the same beside it.
+"""
 
 from __future__ import annotations
 
-import json
-import os
 import time
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from raygrid.emulator.array import Array
-from raygrid.host.job import Settings, make_job, samples_expected
-from raygrid.host.load import load_scene
-from raygrid.host.picture import Picture, check_output
+from raygrid.host.outputs import check_different, check_path, check_picture_path, check_side
 from raygrid.host.progress import Talk
-from raygrid.host.render import render_job
-from raygrid.host.stats import ray_counts
-from raygrid.node.errors import OutputError
+
+if TYPE_CHECKING:
+    from raygrid.host.job import Job
+    from raygrid.host.picture import Picture
 
 
-def run_render(
-    path: str,
-    shape: tuple[int, int, int],
-    outputs: tuple[str, ...],
-    *,
-    batch: int,
-    budget: int,
-    transfer: str,
-    stats: str | None,
-    patience: float,
-    quiet: bool,
-    **settings: Any,
-) -> None:
+@dataclass(frozen=True)
+class Request:
+    """What the command line asks for.
+
+    scene     path of the scene
+    shape     processors on each axis
+    outputs   paths of pictures and sums
+    stats     path of the statistics, or None
+    settings  of `raygrid.host.job.Settings`
+    """
+
+    scene: str
+    shape: tuple[int, int, int]
+    outputs: tuple[str, ...]
+    batch: int
+    budget: int
+    transfer: str
+    stats: str | None
+    patience: float
+    quiet: bool
+    settings: dict[str, Any]
+
+
+def run_render(request: Request) -> None:
     """Launch, read, load, trace, collect, write. Raises RaygridError."""
     begun = time.perf_counter()
-    outputs = outputs or (Path(path).stem + ".png",)
-    for output in outputs:
-        check_output(output)
-    if stats is not None:
-        _check_stats(stats)
-    with Talk(quiet) as talk, Array(shape, batch=batch, patience=patience, on_warming=talk.warming) as array:
-        array.begin()  # warms up while the scene is read
-        talk.phase(f"reading {path}")
-        scene = load_scene(path)
-        for remark in scene.remarks:
-            talk.remark(remark)
-        job = make_job(scene, shape, Settings(**settings))
+    _check_outputs(request)
+    with Talk(request.quiet) as talk:
+        picture = _render(request, talk, begun)
+        for output in request.outputs:
+            talk.phase(f"writing {output}")
+            picture.save(output, request.transfer)
+        seconds = picture.stats["wall_seconds"]
+        seconds["whole"] = round(time.perf_counter() - begun, 6)
+        if request.stats is not None:
+            from raygrid.host.stats import save_stats
+
+            save_stats(request.stats, picture.stats)
+        if picture.stats["total"]["hits"] == 0:
+            talk.remark("no ray of the camera meets a surface: the picture shows the background only")
+        talk.say(_summary(picture))
+    for output in request.outputs:
+        click.echo(output)
+
+
+def _render(request: Request, talk: Talk, begun: float) -> Picture:
+    shape = request.shape
+    with Array(shape, batch=request.batch, patience=request.patience, on_warming=talk.warming) as array:
+        array.begin()
+        talk.phase(f"reading {request.scene}")
+        job = _read_job(request, talk)
         read = time.perf_counter()
         talk.phase(f"launching {shape[0] * shape[1] * shape[2]} processors")
         array.wait_ready()
         ready = time.perf_counter()
+
+        from raygrid.host.job import samples_expected
+        from raygrid.host.render import render_job
+
         talk.expect(samples_expected(job))
-        picture = render_job(array.driver, job, budget, talk.watch)
+        picture = render_job(array.driver, job, request.budget, talk.watch)
         picture.stats["wall_seconds"] |= {"read": round(read - begun, 6), "launch": round(ready - read, 6)}
-    _write(picture, outputs, transfer, stats, begun)
-    talk.say(_summary(picture, begun))
-    for output in outputs:
-        click.echo(output)
+        talk.phase("ending the processors")
+    return picture
 
 
-def _write(picture: Picture, outputs: tuple[str, ...], transfer: str, stats: str | None, begun: float) -> None:
-    for output in outputs:
-        picture.save(output, transfer)
-    picture.stats["wall_seconds"]["whole"] = round(time.perf_counter() - begun, 6)
-    if stats is not None:
-        try:
-            Path(stats).write_text(json.dumps(picture.stats, indent=1) + "\n")
-        except OSError as error:
-            raise OutputError(f"{stats}: the statistics cannot be written: {error}") from None
+def _read_job(request: Request, talk: Talk) -> Job:
+    from raygrid.host.job import Settings, make_job
+    from raygrid.host.load import load_scene
+
+    scene = load_scene(request.scene)
+    for remark in scene.remarks:
+        talk.remark(remark)
+    job = make_job(scene, request.shape, Settings(**request.settings))
+    for output in request.outputs:
+        check_side(output, job.frame.width, job.frame.height)
+    return job
 
 
-def _check_stats(path: str) -> None:
-    folder = Path(path).parent
-    if Path(path).is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
-        raise OutputError(f"{path}: the statistics cannot be written there")
+def _check_outputs(request: Request) -> None:
+    for output in request.outputs:
+        check_picture_path(output)
+    written = list(request.outputs)
+    if request.stats is not None:
+        check_path(request.stats)
+        written.append(request.stats)
+    check_different(request.scene, written)
 
 
-def _summary(picture: Picture, begun: float) -> str:
+def default_outputs(scene: str) -> tuple[str, ...]:
+    """A .png of the scene's name, in the current directory."""
+    return (Path(scene).stem + ".png",)
+
+
+def _summary(picture: Picture) -> str:
     """One line: what was traced, and the wall seconds of this computer (not of the machine of 1983)."""
-    seconds = picture.stats["wall_seconds"]
-    counts = ray_counts(picture.stats)
-    rays = ", ".join(f"{count:,} {kind}" for kind, count in counts.items() if count)
+    from raygrid.host.stats import ray_counts
+
+    seconds, counts = picture.stats["wall_seconds"], ray_counts(picture.stats)
+    rays = ", ".join(f"{count:,} {kind}" for kind, count in counts.items() if count) or "no"
     rate = sum(counts.values()) / max(seconds["trace"], 1e-9)
     return (
         f"{rays} rays, {picture.stats['total']['hops']:,} hops; "
         f"wall seconds: trace {seconds['trace']:.2f} ({rate / 1e6:.2f} million rays a second), "
-        f"whole {time.perf_counter() - begun:.2f}"
+        f"whole {seconds['whole']:.2f}"
     )

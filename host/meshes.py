@@ -21,7 +21,7 @@ import numpy as np
 from raygrid.host.scene import Scene
 from raygrid.host.scene_builder import SceneBuilder, read_bytes, shown
 from raygrid.host.scene_finish import Y_UP, Z_UP, finish_scene
-from raygrid.host.scene_mtl import GREY
+from raygrid.host.scene_mtl import GREY, WHITE
 from raygrid.host.textures import bake
 from raygrid.node.errors import SceneError
 from raygrid.node.surfaces import F64, Kind
@@ -79,10 +79,10 @@ def _add_mesh(builder: SceneBuilder, mesh: Any, smooth: bool) -> None:
         raise SceneError(f"{builder.where}: a face has the vertex {int(faces.max())}, wanted {wanted}")
     rows, index = GREY, np.zeros(len(faces), np.int64)
     if mesh.visual.kind == "face":
-        rows, index = bake(_white(), np.asarray(mesh.visual.face_colors)[:, :3])
+        rows, index = bake(WHITE, np.asarray(mesh.visual.face_colors)[:, :3])
     elif mesh.visual.kind == "vertex":
         colours = np.asarray(mesh.visual.vertex_colors)[:, :3][faces]
-        rows, index = bake(_white(), np.round(colours.mean(axis=1)).astype(np.uint8))
+        rows, index = bake(WHITE, np.round(colours.mean(axis=1)).astype(np.uint8))
     materials = builder.add_materials(rows, baked=rows is not GREY) + index
     data = points[faces].reshape(-1, 9)
     if smooth:
@@ -90,12 +90,6 @@ def _add_mesh(builder: SceneBuilder, mesh: Any, smooth: bool) -> None:
         builder.add(Kind.SMOOTH, np.concatenate((data, normals), axis=1), materials)
     else:
         builder.add(Kind.TRIANGLE, data, materials)
-
-
-def _white() -> Any:
-    white = GREY.copy()
-    white["diffuse"] = 1.0
-    return white
 
 
 def _check_ply(path: Path, data: bytes) -> None:

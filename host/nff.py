@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from raygrid.host.cameras import Camera, nff_camera
 from raygrid.host.scene import Scene
 from raygrid.host.scene_builder import SceneBuilder, colour, material, plural, read_bytes
+from raygrid.host.scene_finish import UNLIT
 from raygrid.host.scene_lights import Table, light_table, point_light
 from raygrid.host.scene_nff_words import GRAMMAR, NAMES, Words
 from raygrid.host.scene_polygons import Ints, triangulate
@@ -231,7 +232,7 @@ def _view(words: Words) -> tuple[Camera, tuple[int, int]]:
 def _lights(words: Words, builder: SceneBuilder) -> Table:
     lights = words.of("l")
     if not len(lights):
-        builder.remarks.append("no light in the file: only the background and its reflections will show")
+        builder.remarks.append(UNLIT)
     strength = 1.0 / np.sqrt(max(len(lights), 1))
     return light_table(
         [
@@ -289,4 +290,4 @@ def _add_smooth_polygons(words: Words, builder: SceneBuilder, materials: Ints) -
     owner = entities[owner]
     data = np.concatenate((rows[corners, :3].reshape(-1, 9), rows[corners, 3:].reshape(-1, 9)), axis=1)
     builder.add(Kind.SMOOTH, data, materials[owner], owner)
-    builder.remark_crossing(crossing)
+    builder.count_crossing(crossing)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raygrid.host.outputs import FORMATS, SUMS, check_picture_path, check_side, write_whole
 from raygrid.node.errors import OutputError
 from raygrid.node.pixels import UNIT
 
 TRANSFERS = ("srgb", "linear")
+BLOCK = 1 << 20  # pixels that are turned into bytes at a time
 
 
 @dataclass(frozen=True)
@@ -34,51 +35,40 @@ class Picture:
         return self.sums / (UNIT * self.samples)
 
     def bytes(self, transfer: str = "srgb") -> NDArray[np.uint8]:
-        """The picture as uint8 (height, width, 3), values above 1 cut off. transfer: "srgb" (IEC 61966-2-1) or "linear"."""
+        """The picture as uint8 (height, width, 3), values above 1 cut off. transfer: "srgb" (IEC 61966-2-1) or "linear".
+
+        Raises OutputError for another transfer.
+        """
         if transfer not in TRANSFERS:
-            raise OutputError(f"a transfer came as {transfer!r}, wanted one of {', '.join(TRANSFERS)}")
-        values = np.minimum(self.linear(), 1.0)
-        if transfer == "srgb":
-            values = np.where(values <= 0.0031308, 12.92 * values, 1.055 * values ** (1 / 2.4) - 0.055)
-        return np.floor(values * 255.0 + 0.5).astype(np.uint8)
+            raise OutputError(f"a transfer came as {transfer!r}, wanted one of: {' '.join(TRANSFERS)}")
+        picture = np.empty(self.sums.shape, np.uint8)
+        rows = max(1, BLOCK // max(self.sums.shape[1], 1))
+        for first in range(0, len(picture), rows):  # a whole large picture as float64 would need several times its memory
+            block = slice(first, first + rows)
+            values = np.minimum(self.sums[block] / (UNIT * self.samples), 1.0)
+            if transfer == "srgb":
+                values = np.where(values <= 0.0031308, 12.92 * values, 1.055 * values ** (1 / 2.4) - 0.055)
+            picture[block] = np.floor(values * 255.0 + 0.5)
+        return picture
 
     def save(self, path: str | Path, transfer: str = "srgb") -> None:
-        """Write a .npy of the sums, or a picture of any kind that Pillow knows. The file appears whole or not at all.
+        """Write a .npy of the sums, or a picture (.png .jpg .webp .tif .bmp .ppm). It appears whole or not at all.
 
         Raises OutputError.
         """
-        path = Path(path)
-        check_output(path)
-        part = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-        try:
-            if path.suffix == ".npy":
-                np.save(part, self.sums, allow_pickle=False)
-            else:
-                from PIL import Image
+        check_picture_path(path)
+        if Path(path).suffix.lower() == SUMS:
+            write_whole(path, self._write_sums)
+            return
+        from PIL import Image
 
-                Image.fromarray(self.bytes(transfer)).save(part)
-            part.replace(path)
-        except (OSError, ValueError) as error:
-            part.unlink(missing_ok=True)
-            raise OutputError(f"{path}: the picture cannot be written: {error}") from None
-        except BaseException:
-            part.unlink(missing_ok=True)
-            raise
+        check_side(path, self.sums.shape[1], self.sums.shape[0])
+        kind = FORMATS[Path(path).suffix.lower()]
+        image = Image.fromarray(self.bytes(transfer))
+        write_whole(path, lambda file: image.save(file, kind.name, **kind.options))
 
-
-def check_output(path: str | Path) -> None:
-    """Raise OutputError if a file of this name can surely not be written: asked before the work, not after."""
-    path = Path(path)
-    if path.is_dir():
-        raise OutputError(f"{path}: the output is a directory, wanted a file")
-    if not path.parent.is_dir():
-        raise OutputError(f"{path}: there is no directory {path.parent}")
-    if not os.access(path.parent, os.W_OK) or (path.exists() and not os.access(path, os.W_OK)):
-        raise OutputError(f"{path}: the output may not be written")
-    if path.suffix == ".npy":
-        return
-    from PIL import Image
-
-    known = Image.registered_extensions()
-    if known.get(path.suffix.lower()) not in Image.SAVE:
-        raise OutputError(f"{path}: the output has the suffix {path.suffix!r}, wanted .png, .npy or another picture's")
+    def _write_sums(self, file: BinaryIO) -> None:
+        """What np.save writes, but in its own words an error of the disk would say nothing of it."""
+        sums = np.ascontiguousarray(self.sums)
+        np.lib.format.write_array_header_1_0(file, np.lib.format.header_data_from_array_1_0(sums))
+        file.write(sums.data)

@@ -1,21 +1,29 @@
-"""What the command line says while it works: one live line on a terminal, nothing where there is none."""
+"""What the command line says while it works: one live line on a terminal, next to nothing where there is none.
+
+Where standard error is no terminal, only what a user must not miss is said: remarks on the scene, and the compiling of
+a first run. Standard output has the names of the files written and nothing else.
+"""
 
 from __future__ import annotations
 
 import sys
 import time
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from raygrid.emulator.driver import Progress
+if TYPE_CHECKING:
+    from raygrid.emulator.driver import Progress
 
-WARMING_NOTICE = 1.5  # seconds of warming after which it is worth a word
+PHASES = {"load": "loading surfaces", "trace": "tracing", "collect": "collecting pixels"}
 
 
 class Talk:
-    """Progress on standard error. Use as a context manager, so that the terminal is left as it was."""
+    """Progress on standard error. Use as a context manager, so that the terminal is left as it was.
+
+    quiet  say nothing at all
+    """
 
     def __init__(self, quiet: bool) -> None:
         self._quiet = quiet
@@ -24,23 +32,17 @@ class Talk:
         self._task: Any = None
         self._expected = 1
         self._begun = time.monotonic()
-        self._told_warming = False
+        self._told_compiling = False
 
     def __enter__(self) -> Talk:
         if self._live:
-            from rich.console import Console
-            from rich.progress import BarColumn, Progress as Bar, SpinnerColumn, TextColumn, TimeRemainingColumn
-
-            columns = (
-                SpinnerColumn(),
-                TextColumn("{task.description}"),
-                BarColumn(bar_width=None),
-                TextColumn("{task.fields[rate]}"),
-                TimeRemainingColumn(),
-            )
-            self._bar = Bar(*columns, console=Console(stderr=True), transient=True)
-            self._task = self._bar.add_task("", total=None, rate="")
-            self._bar.start()
+            self._bar = _new_bar()
+            self._task = self._bar.add_task("", total=None, detail="")
+            try:
+                self._bar.start()
+            except BaseException:  # Ctrl-C when the cursor was hidden already
+                self._bar.stop()
+                raise
         return self
 
     def __exit__(
@@ -50,32 +52,41 @@ class Talk:
             self._bar.stop()
             self._bar = None
 
-    def phase(self, what: str) -> None:
-        """Say what is being done now."""
+    def phase(self, what: str, total: int | None = None) -> None:
+        """Say what is being done now. `total`: how much it is, if that is known."""
+        self._begun = time.monotonic()
         if self._bar is not None:
-            self._bar.reset(self._task, total=None, description=what, rate="")
+            self._bar.remove_task(self._task)  # a task once given a total cannot be without one again
+            self._task = self._bar.add_task(what, total=total, detail="")
 
     def remark(self, text: str) -> None:
-        """A line that stays."""
-        self.say(f"note: {text}")
+        """A line on the scene or the picture that stays, terminal or not."""
+        self._print(f"note: {text}")
 
     def say(self, text: str) -> None:
-        """A line that stays, on standard error."""
+        """A line that stays, on a terminal."""
+        if self._live:
+            self._print(text)
+
+    def _print(self, text: str) -> None:
         if self._quiet:
             return
         if self._bar is not None:
-            self._bar.console.print(text, highlight=False, markup=False)
+            self._bar.console.print(text, highlight=False, markup=False, soft_wrap=True)
         else:
             click.echo(text, err=True)
 
     def warming(self, done: int, total: int, what: str) -> None:
-        """Progress of compiling; said aloud, terminal or not, if it takes long (only the first run does)."""
-        slow = time.monotonic() - self._begun > WARMING_NOTICE
-        if slow and not self._told_warming and not self._quiet:
-            self._told_warming = True
-            self.say("compiling the kernels, once on this computer; this takes up to a minute")
-        if self._bar is not None and slow:
-            self._bar.update(self._task, description=f"compiling: {what} ({done} of {total})")
+        """Told by the nursery of each function that it had to compile, which only a first run does."""
+        if not what.startswith("compiling"):
+            return
+        if not self._told_compiling:
+            self._told_compiling = True
+            self._print("compiling the kernels, once on this computer; this may take a minute")
+            self.phase("", total)
+        if self._bar is not None:
+            detail = f"{done} of {total}"
+            self._bar.update(self._task, completed=done, total=total, description=what[:32], detail=detail)
 
     def expect(self, samples: int) -> None:
         """How many primary rays there will be, about."""
@@ -83,16 +94,38 @@ class Talk:
 
     def watch(self, phase: str, now: Progress | None) -> None:
         """Told by `render_job`."""
-        if self._bar is None:
-            return
         if now is None:
-            names = {"load": "loading surfaces", "trace": "tracing", "collect": "collecting pixels"}
-            self._bar.reset(self._task, total=self._expected if phase == "trace" else None, description=names[phase])
-            self._begun = time.monotonic()
-            return
-        packets = sum(now.died)
-        rate = packets / max(time.monotonic() - self._begun, 1e-3)
-        done = max(0, now.primaries - now.in_flight)
-        self._bar.update(
-            self._task, completed=min(done, self._expected), rate=f"{rate / 1e6:.2f} M packets/s, {now.in_flight:,} in flight"
-        )
+            self.phase(PHASES[phase], self._expected if phase == "trace" else None)
+        elif self._bar is not None:
+            spent = max(time.monotonic() - self._begun, 1e-3)
+            detail = f"{sum(now.died) / spent / 1e6:.2f} M packets/s, {_left(self._part(now), spent)}"
+            self._bar.update(self._task, completed=self._part(now) * self._expected, detail=detail)
+
+    def _part(self, now: Progress) -> float:
+        """How much of the work is done: of the samples those that are born, of what came of them what has died."""
+        return min(1.0, now.primaries / self._expected) * sum(now.died) / max(sum(now.born), 1)
+
+
+def _new_bar() -> Any:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress as Bar, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=None),
+        TextColumn("{task.fields[detail]}", markup=False),
+        TimeElapsedColumn(),
+    )
+    return Bar(*columns, console=Console(stderr=True), transient=True)
+
+
+def _left(part: float, spent: float) -> str:
+    """How long the rest will take if it goes on like this."""
+    if part < 0.01:
+        return "time left unknown"
+    seconds = round(spent * (1.0 - part) / part)
+    if seconds < 60:
+        return f"{seconds} s left"
+    minutes, seconds = divmod(seconds, 60)
+    return f"{minutes} min {seconds:02} s left" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02} min left"

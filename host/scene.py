@@ -24,7 +24,7 @@ class Scene:
 
     name        the file's name, for messages
     surfaces    scene coordinates, float64; ids are 0 to n - 1 in the order of the file
-    materials   MATERIAL (m,), no two alike, in the order of their first use
+    materials   MATERIAL (m,), no two alike, in the order in which the file gives them
     lights      LIGHT (l,)
     camera      the file's, or one that shows everything
     background  linear RGB, what rays see that leave the scene

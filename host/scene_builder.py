@@ -74,6 +74,8 @@ class SceneBuilder:
         self._baked: list[bool] = []
         self._next = 0
         self._dropped = {"triangle": 0, "polygon": 0}
+        self._bent = 0  # polygons that were not planar
+        self._crossing = 0  # polygons that could be cut into triangles only by guess
 
     def add_materials(self, rows: Table, baked: bool = False) -> int:
         """Take materials, MATERIAL (m,); returns the number of the first. `baked`: from a texture's colours, so that
@@ -119,13 +121,12 @@ class SceneBuilder:
             chosen, begins = select_polygons(points, starts, bent)
             rows, owner, crossing = triangulate(chosen, begins)
             self.add(Kind.TRIANGLE, chosen[rows].reshape(-1, 9), every[bent][owner], order[bent][owner])
-            self.remarks.append(f"{plural(len(begins) - 1, 'polygon')} cut into triangles, being not planar")
-            self.remark_crossing(crossing)
+            self._bent += len(begins) - 1
+            self.count_crossing(crossing)
 
-    def remark_crossing(self, crossing: int) -> None:
-        """Say how many polygons could be cut into triangles only by guess."""
-        if crossing:
-            self.remarks.append(f"{plural(crossing, 'polygon')} cut into triangles by guess, crossing its own edges")
+    def count_crossing(self, crossing: int) -> None:
+        """Remark that so many more polygons could be cut into triangles only by guess."""
+        self._crossing += crossing
 
     @property
     def next_order(self) -> int:
@@ -134,7 +135,7 @@ class SceneBuilder:
 
     def finish(self) -> tuple[SurfaceSet, Table, tuple[str, ...]]:
         """Surfaces, materials and remarks. Raises SceneError without surfaces, or with too many of anything."""
-        remarks = [f"{plural(n, noun)} without area dropped" for noun, n in self._dropped.items() if n]
+        remarks = self._counted()
         order = np.concatenate([batch[3] for batch in self._batches] or [np.zeros(0, np.int64)])
         if not len(order):
             dropped = sum(self._dropped.values())
@@ -151,6 +152,15 @@ class SceneBuilder:
             made.append(Batch(kind, ids[begin:end], share[materials].astype(np.uint16), data, starts))
             begin = end
         return SurfaceSet(tuple(_in_order(batch) for batch in merge(made))), table, (*self.remarks, *remarks)
+
+    def _counted(self) -> list[str]:
+        """Remarks on what was counted."""
+        remarks = [f"{plural(n, noun)} without area dropped" for noun, n in self._dropped.items() if n]
+        if self._bent:
+            remarks.append(f"{plural(self._bent, 'polygon')} cut into triangles, being not planar")
+        if self._crossing:
+            remarks.append(f"{plural(self._crossing, 'polygon')} cut into triangles by guess, crossing its own edges")
+        return remarks
 
     def _take(self, kind: Kind, data: F64, materials: ArrayLike, order: Ints | None, n: int, starts: Ints) -> None:
         if order is None:

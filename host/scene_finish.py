@@ -12,6 +12,11 @@ from raygrid.host.scene import Colour, Scene
 from raygrid.host.scene_builder import SceneBuilder
 from raygrid.host.scene_lights import INVENTED_BACKGROUND, invented_lights
 
+# Remarks, here by name because a scene file leaves them out for the files that it takes surfaces from.
+NO_CAMERA = "no camera in the file: one that looks at everything invented"
+NO_LIGHT = "no light in the file: a key and a fill light invented"
+UNLIT = "no light in the file: only the background and its reflections will show"
+
 Y_UP: Vector = (0.0, 1.0, 0.0)
 Z_UP: Vector = (0.0, 0.0, 1.0)
 
@@ -36,10 +41,10 @@ def finish_scene(
     invented = []
     if camera is None:
         camera = look_at_everything(surfaces.bounds(), up)
-        invented.append("no camera in the file: one that looks at everything invented")
+        invented.append(NO_CAMERA)
     if lights is None or not len(lights):
         lights = invented_lights(camera)
-        invented.append("no light in the file: a key and a fill light invented")
+        invented.append(NO_LIGHT)
     return Scene(
         name=path.name,
         surfaces=surfaces,

@@ -12,6 +12,7 @@ from raygrid.node.errors import SceneError
 from raygrid.node.surfaces import F64
 
 GREY = material(diffuse=0.8)  # of meshes that name no material
+WHITE = material(diffuse=1.0)  # of those that bring colours
 
 # How many numbers each statement has, in lower case, as some programs write it; everything else is skipped.
 STATEMENTS = {b"kd": 3, b"ks": 3, b"tf": 3, b"ns": 1, b"ni": 1, b"d": 1, b"tr": 1, b"illum": 1}

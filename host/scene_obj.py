@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 from raygrid.host.scene_builder import MAX_COORDINATE, SceneBuilder, plural, read_bytes, shown
-from raygrid.host.scene_mtl import GREY, Mtl, read_mtl
+from raygrid.host.scene_mtl import GREY, WHITE, Mtl, read_mtl
 from raygrid.host.scene_polygons import Ints, triangulate
 from raygrid.host.textures import Bytes, as_bytes, bake
 from raygrid.node.errors import SceneError
@@ -57,7 +57,7 @@ class ObjReader:
         points, colours = self._points()
         corners, starts = self._corners(len(points))
         rows, owner, crossing = triangulate(points[corners[:, 0]], starts)
-        builder.remark_crossing(crossing)
+        builder.count_crossing(crossing)
         used = corners[rows]  # (t, 3, 3): triangle, corner, indices into v, vt, vn
         data = points[used[..., 0]].reshape(-1, 9)
         materials = self._materials(builder, used, np.array(self._face_materials, np.int64)[owner], colours)
@@ -168,8 +168,8 @@ class ObjReader:
             mtl = library.get(name)
             if mtl is None and name:
                 missing.append(name.decode("utf-8", "replace"))
-            row = GREY if mtl is None else mtl.row
             tints = self._tints(mtl, used[mine], colours)
+            row = mtl.row if mtl is not None else GREY if tints is None else WHITE
             rows, index = (row, np.zeros(1, np.int64)) if tints is None else bake(row, tints)
             numbers[mine] = builder.add_materials(rows, baked=tints is not None) + index
         if missing and library:

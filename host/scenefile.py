@@ -18,7 +18,7 @@ from raygrid.host.cameras import DEFAULT_FOV, Camera, orthographic_camera, persp
 from raygrid.host.load import load_scene
 from raygrid.host.scene import Scene
 from raygrid.host.scene_builder import SceneBuilder, material, read_bytes, shown
-from raygrid.host.scene_finish import finish_scene
+from raygrid.host.scene_finish import NO_CAMERA, NO_LIGHT, UNLIT, finish_scene
 from raygrid.host.scene_lights import Table, directional_light, light_table, point_light, spot_light
 from raygrid.host.scene_mtl import GREY
 from raygrid.host.scene_toml_errors import Key, checked, located, shown_key
@@ -156,8 +156,7 @@ class _Reader:
                 self.builder.add_polygons(data, batch.starts, materials, order)
             else:
                 self.builder.add(batch.kind, data, materials, order)
-        # Remarks on an invented camera or lights are about what is not used here.
-        kept = [remark for remark in scene.remarks if not remark.startswith("no ")]
+        kept = [remark for remark in scene.remarks if remark not in (NO_CAMERA, NO_LIGHT, UNLIT)]
         self.builder.remarks += [f"{scene.name}: {remark}" for remark in kept]
 
     def _camera(self, base: Scene | None) -> Camera | None:

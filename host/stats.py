@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from raygrid.emulator.driver import Driver, Progress
 from raygrid.host.job import Job
+from raygrid.host.outputs import write_whole
 from raygrid.node.packets import PacketKind
 from raygrid.node.pixels import UNIT
 
@@ -58,3 +61,11 @@ def ray_counts(stats: dict[str, Any]) -> dict[str, int]:
     """Rays by kind (primary, reflected, refracted, shadow), for a line of summary."""
     kinds = (PacketKind.PRIMARY, PacketKind.REFLECTED, PacketKind.REFRACTED, PacketKind.SHADOW)
     return {kind.name.lower(): stats["total"]["born"][kind.name.lower()] for kind in kinds}
+
+
+def save_stats(path: str | Path, stats: dict[str, Any]) -> None:
+    """Write as JSON: a line for each key, in `nodes` a line for each node. Raises OutputError."""
+    lines = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in stats.items() if key != "nodes"]
+    nodes = ",\n".join(f"  {json.dumps(node)}" for node in stats["nodes"])
+    text = "{\n" + ",\n".join([*lines, f' "nodes": [\n{nodes}\n ]']) + "\n}\n"
+    write_whole(path, lambda file: file.write(text.encode()))

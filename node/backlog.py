@@ -66,11 +66,12 @@ class Stack:
 
 
 @kernel
-def _sort_in(message, count, port, limits, travellers, shadows, rays, held):
-    """Check `count` packets of a message and put each on the stack of its class; the first bad one, or -1.
+def _sort_in(message, count, port, bounds, travellers, t_ports, shadows, s_ports, rays, r_ports, held):
+    """Check `count` packets of a message and put each on the stack of its class; (first bad one or -1, its fault).
 
-    travellers, shadows, rays: (bytes, ports); held: int64 (CLASSES,), updated.
+    bounds: int64, the fields of Limits; bytes and ports of each stack; held: int64 (CLASSES,), updated.
     """
+    limits = Limits(bounds[0], bounds[1], bounds[2], bounds[3], (bounds[4], bounds[5], bounds[6]))
     for k in range(count):
         at = HEAD + k * SIZE
         bad = fault(message, at, limits)
@@ -78,16 +79,16 @@ def _sort_in(message, count, port, limits, travellers, shadows, rays, held):
             return k, bad
         kind = np.int64(message[at]) & 7
         if kind == SHADOW:
-            copy_packet(message, at, shadows[0], held[1] * SIZE)
-            shadows[1][held[1]] = port
+            copy_packet(message, at, shadows, held[1] * SIZE)
+            s_ports[held[1]] = port
             held[1] += 1
         elif kind == RETURN or kind == PIXEL:
-            copy_packet(message, at, travellers[0], held[0] * SIZE)
-            travellers[1][held[0]] = port
+            copy_packet(message, at, travellers, held[0] * SIZE)
+            t_ports[held[0]] = port
             held[0] += 1
         else:
-            copy_packet(message, at, rays[0], held[2] * SIZE)
-            rays[1][held[2]] = port
+            copy_packet(message, at, rays, held[2] * SIZE)
+            r_ports[held[2]] = port
             held[2] += 1
     return -1, 0
 
@@ -98,28 +99,50 @@ class Backlog:
     def __init__(self) -> None:
         self.stacks = (Stack(), Stack(), Stack())
         self.most_held = 0
+        self._held = np.zeros(CLASSES, np.int64)
+        self._bounds = np.zeros(7, np.int64)
 
     @property
     def held(self) -> int:
         """Packets that wait."""
-        return sum(stack.held for stack in self.stacks)
+        one, two, three = self.stacks
+        return one.held + two.held + three.held
 
     @property
     def size(self) -> int:
         """Size of the stacks' buffers."""
         return sum(len(stack.ports) for stack in self.stacks) * BYTES_A_PACKET
 
-    def sort_in(self, message: bytes, count: int, port: int, limits: Limits) -> tuple[int, int]:
+    def set_limits(self, limits: Limits) -> None:
+        """What packets of the frame may name."""
+        self._bounds = np.array([*limits[:4], *limits.shape], np.int64)
+
+    def sort_in(self, message: bytes, count: int, port: int) -> tuple[int, int]:
         """Take in a PACKETS message whose length was checked; (number, fault) of the first bad packet, or (-1, 0)."""
+        one, two, three = self.stacks
         for stack in self.stacks:
-            stack.make_room(count)
-        held = np.array([stack.held for stack in self.stacks])
-        pairs = [(stack.packets, stack.ports) for stack in self.stacks]
-        bad = _sort_in(np.frombuffer(message, np.uint8), count, port, limits, *pairs, held)
-        for stack, now in zip(self.stacks, held, strict=True):
-            stack.grew(int(now) - stack.held)
+            if stack.held + count > len(stack.ports):
+                stack.make_room(count)
+        held = self._held
+        held[0], held[1], held[2] = one.held, two.held, three.held
+        number, bad = _sort_in(
+            np.frombuffer(message, np.uint8),
+            count,
+            port,
+            self._bounds,
+            one.packets,
+            one.ports,
+            two.packets,
+            two.ports,
+            three.packets,
+            three.ports,
+            held,
+        )
+        for stack, now in zip(self.stacks, held.tolist(), strict=True):
+            if now != stack.held:
+                stack.grew(now - stack.held)
         self.most_held = max(self.most_held, self.held)
-        return int(bad[0]), int(bad[1])
+        return int(number), int(bad)
 
     def most_urgent(self, worthwhile: int) -> Stack | None:
         """The stack to serve next: the first with `worthwhile` packets, else the first with any."""

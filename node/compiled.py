@@ -25,22 +25,25 @@ from numba import njit
 
 Function = Callable[..., Any]  # annotations inside kernels would never be checked, so they have none
 
+_COUNTING: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": False}
+_LEAN: dict[str, Any] = {**_COUNTING, "_nrt": False}
+
 
 def kernel(function: Function) -> Function:
     """Compile a function that Python calls and that may make arrays."""
-    return cast(Function, njit(cache=True, error_model="numpy", fastmath=False)(function))
+    return cast(Function, njit(**_COUNTING)(function))
 
 
 def lean(function: Function) -> Function:
     """Compile a function that Python calls and that makes no array."""
-    return cast(Function, njit(cache=True, error_model="numpy", fastmath=False, _nrt=False)(function))
+    return cast(Function, njit(**_LEAN)(function))
 
 
 def part(function: Function) -> Function:
     """Compile a function that kernels call; always inlined."""
-    return cast(Function, njit(cache=True, error_model="numpy", fastmath=False, forceinline=True, _nrt=False)(function))
+    return cast(Function, njit(forceinline=True, **_LEAN)(function))
 
 
 def piece(function: Function) -> Function:
     """Compile a function that kernels call, too large to be inlined wherever it is used."""
-    return cast(Function, njit(cache=True, error_model="numpy", fastmath=False)(function))
+    return cast(Function, njit(**_COUNTING)(function))

@@ -6,11 +6,13 @@ hold the same surface test it with the same numbers. Only boxes in the hierarchy
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from .compiled import kernel
-from .hierarchy import build
+from .hierarchy import WORDS, build
 from .intersect import (
     CONE_AXIS,
     CONE_BASE,
@@ -30,7 +32,7 @@ from .intersect import (
     POLY_DROP,
 )
 from .lattice import SLACK, Cell
-from .surfaces import Batch, Kind, SurfaceSet
+from .surfaces import STORED_AS, STRIDE, Batch, Kind, SurfaceSet
 from .tables import KIND_SHIFT, Surfaces
 
 F64 = NDArray[np.float64]
@@ -120,8 +122,8 @@ def _polygons(points, starts, most_bins, planes, headers, bins, edges):
         low, high = np.inf, -np.inf
         for k in range(first, last):
             low, high = min(low, points[k, v]), max(high, points[k, v])
-        count = most_bins[row]
-        while count > 1 and _count_in_bins(points, first, last, v, low, count / (high - low), count) > 8 * (last - first):
+        count, most_entries = most_bins[row], 8 * (last - first)
+        while count > 1 and _count_in_bins(points, first, last, v, low, count / (high - low), count) > most_entries:
             count //= 2
         # a little less, so that rounding cannot lift what is just below the top over the last strip
         scale = count / (high - low) * (1.0 - 2.0**-50)
@@ -142,95 +144,69 @@ def _edges_of_strip(points, first, last, u, v, low, scale, strip, count, edges, 
     for k in range(first, last):
         after = k + 1 if k + 1 < last else first
         a, b = (k, after) if points[k, v] < points[after, v] else (after, k)
-        if points[a, v] < points[b, v]:
-            # the product is the one of the lookup, and rounds monotonically: no strip is missed
-            if np.int64((points[a, v] - low) * scale) <= strip and strip <= np.int64((points[b, v] - low) * scale):
-                edges[next_edge, 0] = points[a, u]
-                edges[next_edge, 1] = points[a, v]
-                edges[next_edge, 2] = points[b, v]
-                edges[next_edge, 3] = (points[b, u] - points[a, u]) / (points[b, v] - points[a, v])
-                next_edge += 1
+        if not points[a, v] < points[b, v]:
+            continue
+        # the product is the one of the lookup, and rounds monotonically: no strip is missed
+        if np.int64((points[a, v] - low) * scale) <= strip and strip <= np.int64((points[b, v] - low) * scale):
+            edges[next_edge, 0] = points[a, u]
+            edges[next_edge, 1] = points[a, v]
+            edges[next_edge, 2] = points[b, v]
+            edges[next_edge, 3] = (points[b, u] - points[a, u]) / (points[b, v] - points[a, v])
+            next_edge += 1
     return next_edge
-
-
-def _find(surfaces: SurfaceSet, kind: Kind) -> Batch | None:
-    for batch in surfaces:
-        if batch.kind == kind and len(batch):
-            return batch
-    return None
 
 
 def build_surfaces(retained: SurfaceSet, cell: Cell) -> Surfaces:
     """The tables of a node that retains these surfaces (machine coordinates, at most one batch a kind)."""
-    kinds = [batch for batch in retained if len(batch)]
-    if not kinds:
+    batches = [batch for batch in retained if len(batch)]
+    if not batches:
         return empty_surfaces()
-    boxes = np.concatenate([batch.bounds() for batch in kinds])
+    boxes = np.concatenate([batch.bounds() for batch in batches])
     boxes[:, 0] = np.maximum(boxes[:, 0], np.array(cell.low_at) - 2 * SLACK)
     boxes[:, 1] = np.minimum(boxes[:, 1], np.array(cell.high_at) + 2 * SLACK)
     boxes[:, 0] = np.minimum(boxes[:, 0], boxes[:, 1])
-    order, floats = build(boxes)
-    words = np.concatenate(
-        [(np.uint32(batch.kind) << np.uint32(KIND_SHIFT)) | np.arange(len(batch), dtype=np.uint32) for batch in kinds]
-    )[order]
-    flat = {kind: _in_leaf_order(retained, kind, words) for kind in (Kind.TRIANGLE, Kind.SMOOTH, Kind.SPHERE)}
-    cones = _cones_in_leaf_order(retained, words)
-    polygons = _find(retained, Kind.POLYGON)
-    tables = (
-        polygon_tables(np.ascontiguousarray(polygons.data, np.float64), polygons.starts)
-        if polygons is not None
-        else polygon_tables(np.zeros((0, 3)), np.zeros(1, np.int64))
-    )
+    kinds = np.repeat(np.array([batch.kind for batch in batches], np.int8), [len(batch) for batch in batches])
+    order, floats = build(boxes, kinds)
+    rows = np.concatenate([np.arange(len(batch)) for batch in batches])[order]
+    kinds = kinds[order]
+    items = kinds.astype(np.uint32) << np.uint32(KIND_SHIFT)
+    held: dict[Kind, Batch] = {}
+    for batch in batches:
+        mine = kinds == batch.kind
+        held[batch.kind] = batch.select(rows[mine])  # in leaf order
+        first = len(held[Kind.CYLINDER]) if batch.kind == Kind.CONE and Kind.CYLINDER in held else 0
+        items[mine] |= np.arange(first, first + len(batch), dtype=np.uint32)
     return Surfaces(
         floats,
-        floats.view(np.int32),
-        words,
-        np.concatenate([batch.ids for batch in kinds])[order],
-        np.concatenate([batch.materials for batch in kinds])[order],
-        flat[Kind.TRIANGLE].astype(np.float32, copy=False),
-        flat[Kind.SMOOTH].astype(np.float32, copy=False),
-        flat[Kind.SPHERE].astype(np.float64, copy=False),
-        cones,
-        *tables,
+        floats.view(np.uint32),
+        items,
+        np.concatenate([batch.ids for batch in batches])[order],
+        np.concatenate([batch.materials for batch in batches])[order],
+        *_tables(held),
     )
-
-
-def _in_leaf_order(retained: SurfaceSet, kind: Kind, words: NDArray[np.uint32]) -> NDArray[np.floating]:
-    """The rows of a kind in the order in which leaves name them; `words` are renumbered in place."""
-    batch = _find(retained, kind)
-    if batch is None:
-        return np.zeros((0, {Kind.TRIANGLE: 9, Kind.SMOOTH: 18, Kind.SPHERE: 4}[kind]))
-    named = np.flatnonzero(words >> np.uint32(KIND_SHIFT) == kind)
-    rows = batch.data[words[named] & np.uint32((1 << KIND_SHIFT) - 1)]
-    words[named] = (np.uint32(kind) << np.uint32(KIND_SHIFT)) | np.arange(len(named), dtype=np.uint32)
-    return np.ascontiguousarray(rows)
-
-
-def _cones_in_leaf_order(retained: SurfaceSet, words: NDArray[np.uint32]) -> F64:
-    """Cylinders, then cones, in one table; the words of cones are moved behind the cylinders."""
-    cylinders, cones = _find(retained, Kind.CYLINDER), _find(retained, Kind.CONE)
-    tables = [cone_table(batch.data.astype(np.float64)) for batch in (cylinders, cones) if batch is not None]
-    if cylinders is not None and cones is not None:
-        words[words >> np.uint32(KIND_SHIFT) == Kind.CONE] += np.uint32(len(cylinders))
-    return np.concatenate(tables) if tables else np.zeros((0, CONE_COLUMNS))
 
 
 def empty_surfaces() -> Surfaces:
     """The tables of a node that retains nothing: no hierarchy, which the ray step skips."""
-    floats = np.zeros((0, 16), np.float32)
-    planes, headers, bins, edges = polygon_tables(np.zeros((0, 3)), np.zeros(1, np.int64))
-    return Surfaces(
-        floats,
-        floats.view(np.int32),
-        np.zeros(0, np.uint32),
-        np.zeros(0, np.uint32),
-        np.zeros(0, np.uint16),
-        np.zeros((0, 9), np.float32),
-        np.zeros((0, 18), np.float32),
-        np.zeros((0, 4)),
-        np.zeros((0, CONE_COLUMNS)),
-        planes,
-        headers,
-        bins,
-        edges,
+    floats = np.zeros((0, WORDS), np.float32)
+    numbers = np.zeros(0, np.uint32)
+    return Surfaces(floats, floats.view(np.uint32), numbers, numbers, np.zeros(0, np.uint16), *_tables({}))
+
+
+def _tables(held: dict[Kind, Batch]) -> tuple[Any, ...]:
+    """The fields of `Surfaces` from `triangles` on."""
+
+    def data(kind: Kind) -> NDArray[np.floating]:
+        if kind not in held:
+            return np.zeros((0, STRIDE[kind]), STORED_AS[kind])
+        return np.ascontiguousarray(held[kind].data, STORED_AS[kind])
+
+    cones = np.concatenate([cone_table(data(kind).astype(np.float64)) for kind in (Kind.CYLINDER, Kind.CONE)])
+    starts = held[Kind.POLYGON].starts if Kind.POLYGON in held else np.zeros(1, np.int64)
+    return (
+        data(Kind.TRIANGLE),
+        data(Kind.SMOOTH),
+        data(Kind.SPHERE),
+        cones,
+        *polygon_tables(data(Kind.POLYGON).astype(np.float64), starts),
     )

@@ -4,11 +4,13 @@ A channel's word proves nothing (a black-holed ZeroMQ peer sees all its sends su
 says HELLO and waits for ACK, numbers what it sends, and closes with BYE and its answer. It never blocks: a
 message that may not go yet (no credit, or the channel is full) waits in the link.
 
-    state     on send                 on receive
-    NEW       HELLO                   HELLO -> ACK;  ACK -> remembered
-    UP        anything                anything but HELLO, ACK
-    CLOSING   BYE sent, nothing more  everything until BYE_ACK
-    CLOSED    nothing                 nothing
+    state     on send                   on receive
+    NEW       HELLO, orders             HELLO once and first -> ACK;  ACK once;  orders
+    UP        anything                  anything but HELLO, ACK, BYE_ACK
+    CLOSING   BYE sent; ACK, BYE_ACK    as before, and BYE_ACK once
+    CLOSED    nothing                   nothing
+
+Who has heard BYE takes only ACK and BYE_ACK after it. What waits for credit when a link is closed is given up.
 """
 
 from __future__ import annotations
@@ -113,7 +115,7 @@ class Link:
 
     def send_packets(self, row: NDArray[np.uint8], held: int, batch: int) -> None:
         """Send the first `held` packets of an output row (HEAD bytes are free at its head), `batch` a message."""
-        if held <= batch and not self._waiting and self._may_send_data():
+        if held <= batch and not self._waiting and not self._urgent and self._may_send_data():
             data = row.data
             HEADER.pack_into(data, 0, *self._header(MessageKind.PACKETS, held))
             if self.channel.send(data[: HEAD + held * SIZE]):
@@ -133,6 +135,7 @@ class Link:
             if not self._send_now(kind, 0, payload):
                 return
             self._urgent.popleft()
+        self._maybe_closed()
         while self._waiting and self._may_send_data():
             kind, count, payload = self._waiting[0]
             if not self._send_now(kind, count, payload):
@@ -142,7 +145,7 @@ class Link:
     def grant(self, messages: int = 1) -> None:
         """Say that this many data messages from the peer have been processed."""
         self._data_done += messages
-        if self._data_done - self._data_done_told >= WINDOW // 2:
+        if self._data_done - self._data_done_told >= WINDOW // 2 and self.state is State.UP:
             self._post(MessageKind.CREDIT, b"")
 
     def close(self) -> None:
@@ -204,8 +207,6 @@ class Link:
                 f"link {self.name}: message {sequence} ({kind.name}) came, wanted {self._received}: "
                 "messages were lost, doubled or out of order"
             )
-        if not self._heard and kind != MessageKind.HELLO:
-            raise ProtocolError(f"link {self.name}: {kind.name} came before HELLO")
         self._received += 1
 
     def _take_credit(self, credit: int) -> None:
@@ -220,27 +221,48 @@ class Link:
 
     def _is_for_link(self, kind: MessageKind, message: bytes) -> bool:
         """Deal with the link's own messages; False for all others."""
-        if kind == MessageKind.HELLO:
+        if kind in IS_DATA and self.state is not State.NEW and not self._bye_heard:
+            return False
+        self._check_turn(kind)
+        if kind is MessageKind.HELLO:
             self._meet(read_order(message))
-        elif kind == MessageKind.ACK:
+        elif kind is MessageKind.ACK:
             self._acknowledged = True
-        elif kind == MessageKind.BYE:
+        elif kind is MessageKind.BYE:
             self._bye_heard = True
             self._post(MessageKind.BYE_ACK, b"")
             self._maybe_closed()
-        elif kind == MessageKind.BYE_ACK:
+        elif kind is MessageKind.BYE_ACK:
             self._bye_answered = True
             self._maybe_closed()
-        elif kind != MessageKind.CREDIT:
+        elif kind is not MessageKind.CREDIT:
             return False
         if self.state == State.NEW and self._heard and self._acknowledged:
             self.state = State.UP
             self.push()
         return True
 
+    def _check_turn(self, kind: MessageKind) -> None:
+        """Raise ProtocolError for a message that must not come in this state."""
+        wrong = ""
+        if kind is MessageKind.HELLO:
+            wrong = "a second time" if self._heard else ""
+        elif not self._heard:
+            wrong = "before HELLO"
+        elif kind is MessageKind.ACK:
+            wrong = "a second time" if self._acknowledged else ""
+        elif kind is MessageKind.BYE_ACK:
+            wrong = "" if self.state is State.CLOSING and not self._bye_answered else "without a BYE to answer"
+        elif self._bye_heard:
+            wrong = "after BYE"
+        elif kind in IS_DATA and not self._acknowledged:
+            wrong = "before ACK"
+        if wrong:
+            raise ProtocolError(f"link {self.name}: {kind.name} came {wrong}")
+
     def _meet(self, order: dict[str, Any]) -> None:
-        if order != self._peer or self._heard:
-            raise ProtocolError(f"link {self.name}: HELLO came as {order}, wanted {self._peer} once")
+        if order != self._peer:
+            raise ProtocolError(f"link {self.name}: HELLO came as {order}, wanted {self._peer}")
         self._heard = True
         self._post(MessageKind.ACK, b"")
 

@@ -64,6 +64,12 @@ def _serve(config: dict[str, Any], pairs: dict[int, Pair], life: int) -> None:
             if ready == life:
                 return
             processor.receive(ports[ready])
+        if processor.gathers:
+            time.sleep(processor.linger)
+            for ready, _ in poller.poll(0):
+                if ready == life:
+                    return
+                processor.receive(ports[ready])
         processor.work()
     _close(processor, poller, ports, life)
 
@@ -73,7 +79,7 @@ def _patience(processor: Processor) -> int | None:
     if processor.busy:
         return 0
     limit = processor.wait_limit()
-    if any(link.choked for link in processor.links.values()):
+    if processor.choked:
         limit = CHOKED_SECONDS if limit is None else min(limit, CHOKED_SECONDS)
     return None if limit is None else int(limit * 1000) + 1
 

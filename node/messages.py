@@ -27,11 +27,14 @@ from .step import HEAD
 from .surfaces import STORED_AS, STRIDE, Batch, Kind
 
 VERSION = 1
-MAX_MESSAGE = 1 << 20  # bytes; ZMQ_MAXMSGSIZE of every socket
+MAX_MESSAGE = (
+    1 << 25
+)  # bytes; ZMQ_MAXMSGSIZE of every socket; holds the order of a frame with the most materials and lights
 WINDOW = 32  # PACKETS and SURFACES messages under way on one direction of a link
 HEADER = struct.Struct("<BBHIII")
 SURFACE_HEADER = struct.Struct("<BBHII")  # corner, kind, zero, surfaces, points of polygons
 MOST_ITEMS = 1 << 16  # entries of any list or map in an order
+DEEPEST = 8  # lists and maps in each other in an order
 assert HEADER.size == HEAD
 
 
@@ -49,6 +52,7 @@ class MessageKind(IntEnum):
     BYE_ACK = 9
 
 
+_KINDS = {int(kind): kind for kind in MessageKind}
 IS_DATA = frozenset((MessageKind.PACKETS, MessageKind.SURFACES))
 
 
@@ -67,25 +71,34 @@ def read_header(message: bytes) -> Header:
     if not HEAD <= len(message) <= MAX_MESSAGE:
         raise ProtocolError(f"a message came with {len(message)} bytes, wanted {HEAD} to {MAX_MESSAGE}")
     kind, zero, epoch, sequence, credit, count = HEADER.unpack_from(message)
-    if kind not in MessageKind.__members__.values() or zero != 0:
+    known = _KINDS.get(kind)
+    if known is None or zero != 0:
         raise ProtocolError(f"a message came with header {message[:HEAD].hex()}, wanted a known kind and a zero byte")
-    return Header(MessageKind(kind), epoch, sequence, credit, count)
+    return Header(known, epoch, sequence, credit, count)
 
 
 def check_packets(message: bytes, count: int) -> None:
     """Raise ProtocolError unless the message is exactly as long as `count` packets."""
     if len(message) != HEAD + count * SIZE or count == 0:
-        raise ProtocolError(f"{count} packets came in {len(message) - HEAD} bytes, wanted {count * SIZE} and at least one")
+        raise ProtocolError(
+            f"{count} packets came in {len(message) - HEAD} bytes, wanted {count * SIZE} and at least one"
+        )
 
 
 def pack_order(order: dict[str, Any]) -> bytes:
-    """An order (or answer) as bytes."""
+    """An order (or answer) as bytes. Raises ProtocolError if it is too long for a message."""
     packed: bytes = msgpack.packb(order, use_bin_type=True)
-    return packed
+    return _short_enough(packed, "an order")
+
+
+def _short_enough(payload: bytes, what: str) -> bytes:
+    if len(payload) > MAX_MESSAGE - HEAD:
+        raise ProtocolError(f"{what} has {len(payload)} bytes, wanted at most {MAX_MESSAGE - HEAD}")
+    return payload
 
 
 def read_order(message: bytes) -> dict[str, Any]:
-    """The order of a message. Raises ProtocolError unless it is one map with string keys."""
+    """The order of a message. Raises ProtocolError unless it is one map, with string keys all the way down."""
     try:
         order = msgpack.unpackb(
             memoryview(message)[HEAD:],
@@ -99,11 +112,26 @@ def read_order(message: bytes) -> dict[str, Any]:
         raise ProtocolError(f"an order of {len(message) - HEAD} bytes cannot be read: {error}") from None
     if not isinstance(order, dict):
         raise ProtocolError(f"an order came as {type(order).__name__}, wanted a map")
+    _check_tree(order, DEEPEST)
     return order
 
 
+def _check_tree(value: dict[str, Any] | list[Any], deeper: int) -> None:
+    """Raise ProtocolError for keys that are no strings, and for lists and maps nested too deep to be handed on."""
+    if deeper == 0:
+        raise ProtocolError(f"an order came with lists and maps deeper than {DEEPEST}")
+    if isinstance(value, dict) and not all(type(key) is str for key in value):
+        raise ProtocolError("an order came with keys that are bytes, wanted string keys")
+    for inner in value.values() if isinstance(value, dict) else value:
+        if isinstance(inner, dict | list):
+            _check_tree(inner, deeper - 1)
+
+
 def pack_surfaces(corner: int, batch: Batch) -> bytes:
-    """Surface descriptions in machine coordinates, that entered the array at this corner (0 to 7)."""
+    """Surface descriptions in machine coordinates, that entered the array at this corner (0 to 7).
+
+    Raises ProtocolError if they are too long for a message.
+    """
     points = int(batch.starts[-1]) if batch.kind == Kind.POLYGON else 0
     parts = [
         SURFACE_HEADER.pack(corner, int(batch.kind), 0, len(batch), points),
@@ -113,7 +141,7 @@ def pack_surfaces(corner: int, batch: Batch) -> bytes:
     if batch.kind == Kind.POLYGON:
         parts.append(np.diff(batch.starts).astype("<u4").tobytes())
     parts.append(batch.data.astype(STORED_AS[batch.kind], copy=False).tobytes())
-    return b"".join(parts)
+    return _short_enough(b"".join(parts), f"a message of {len(batch)} surfaces of kind {batch.kind.name}")
 
 
 def read_surfaces(message: bytes, count: int) -> tuple[int, Batch]:

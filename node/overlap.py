@@ -5,9 +5,10 @@ belongs to the cell that holds that point (up to rounding, far below SLACK). So 
 surface which comes within SLACK of it holds every surface that can be hit there, and no other needs to be
 kept: retention is implied by acceptance. Boxes are widened by SLACK here, and only here.
 
-Polygons and triangles are clipped against the box (Sutherland and Hodgman 1974: for a convex box the
-result is empty exactly if they do not meet, for concave polygons too). A sphere's surface misses a box
-that lies outside or wholly inside it. A cone is kept if its box and a capsule round it touch the box.
+A triangle or polygon meets a box if an edge of it does, or if the box cuts its plane wholly inside its
+outline. (Clipping it by the box's planes in turn is no test: a concave one leaves edges of no area in a
+notch.) A sphere's surface misses a box that lies outside or wholly inside it. A cone is kept if its box
+and a capsule round it touch the box.
 """
 
 from __future__ import annotations
@@ -23,43 +24,64 @@ F64 = NDArray[np.float64]
 
 
 @part
-def _clip_plane(source, count, target, axis, sign, limit):
-    """Clip `count` points against sign * x[axis] <= limit; returns how many points remain."""
-    kept = 0
-    for k in range(count):
-        after = k + 1 if k + 1 < count else 0
-        here = sign * source[k, axis] - limit
-        there = sign * source[after, axis] - limit
-        if here <= 0.0:
-            for c in range(3):
-                target[kept, c] = source[k, c]
-            kept += 1
-        if (here < 0.0 and there > 0.0) or (here > 0.0 and there < 0.0):
-            part_way = here / (here - there)
-            for c in range(3):
-                target[kept, c] = source[k, c] + part_way * (source[after, c] - source[k, c])
-            target[kept, axis] = sign * limit
-            kept += 1
-    return kept
+def _edge_meets(points, j, k, low, high):
+    """Whether the edge between points j and k meets a box."""
+    enter, leave = 0.0, 1.0
+    for axis in range(3):
+        start, way = points[j, axis], points[k, axis] - points[j, axis]
+        if way == 0.0:
+            if start < low[axis] or start > high[axis]:
+                return False
+        else:
+            one, two = (low[axis] - start) / way, (high[axis] - start) / way
+            enter, leave = max(enter, min(one, two)), min(leave, max(one, two))
+    return enter <= leave
+
+
+@part
+def _normal(points, count):
+    """Area vector of a polygon (Newell), about its first point."""
+    x, y, z = 0.0, 0.0, 0.0
+    for k in range(1, count - 1):
+        ax, ay, az = points[k, 0] - points[0, 0], points[k, 1] - points[0, 1], points[k, 2] - points[0, 2]
+        bx, by, bz = points[k + 1, 0] - points[0, 0], points[k + 1, 1] - points[0, 1], points[k + 1, 2] - points[0, 2]
+        x += ay * bz - az * by
+        y += az * bx - ax * bz
+        z += ax * by - ay * bx
+    return x, y, z
 
 
 @piece
-def _polygon_meets(points, count, low, high, one, two):
-    """Whether a polygon meets a box.
-
-    `one` and `two` have room for 12 times its points: a plane adds at most half as many again, and 1.5^6 < 12.
-    """
+def _polygon_meets(points, count, low, high):
+    """Whether a polygon meets a box. If no edge does, its part in the box is all of the plane there, or nothing."""
     for k in range(count):
-        for c in range(3):
-            one[k, c] = points[k, c]
-    for axis in range(3):
-        count = _clip_plane(one, count, two, axis, 1.0, high[axis])
-        if count == 0:
-            return False
-        count = _clip_plane(two, count, one, axis, -1.0, -low[axis])
-        if count == 0:
-            return False
-    return True
+        if _edge_meets(points, k, k + 1 if k + 1 < count else 0, low, high):
+            return True
+    normal = _normal(points, count)
+    below, above = 0.0, 0.0  # heights over the plane of the box's lowest and highest corners
+    for c in range(3):
+        first, second = normal[c] * (low[c] - points[0, c]), normal[c] * (high[c] - points[0, c])
+        below += min(first, second)
+        above += max(first, second)
+    if not (below <= 0.0 and above >= 0.0 and above > below):
+        return False
+    # where the diagonal between these corners passes the plane: a point of the plane in the box
+    up = -below / (above - below)
+    drop = 0
+    for c in range(1, 3):
+        if abs(normal[c]) > abs(normal[drop]):
+            drop = c
+    u, v = (drop + 1) % 3, (drop + 2) % 3
+    x = low[u] + (up if normal[u] >= 0.0 else 1.0 - up) * (high[u] - low[u])
+    y = low[v] + (up if normal[v] >= 0.0 else 1.0 - up) * (high[v] - low[v])
+    inside = False
+    for k in range(count):
+        j = k + 1 if k + 1 < count else 0
+        if (points[k, v] > y) != (points[j, v] > y):
+            part_way = (y - points[k, v]) / (points[j, v] - points[k, v])
+            if x < points[k, u] + part_way * (points[j, u] - points[k, u]):
+                inside = not inside
+    return inside
 
 
 @part
@@ -79,15 +101,14 @@ def _box_distances(x, y, z, low, high):
 @part
 def _sphere_meets(data, row, low, high):
     near, far = _box_distances(data[row, 0], data[row, 1], data[row, 2], low, high)
-    radius = abs(data[row, 3])
-    hollow = max(radius - SLACK, 0.0)
-    return near <= (radius + SLACK) ** 2 and far >= hollow * hollow
+    squared = data[row, 3] * data[row, 3]
+    return near <= squared and far >= squared
 
 
 @part
 def _capsule_meets(data, row, low, high):
     """The frustum lies in the capsule round its axis; the box in the ball round its middle."""
-    reach = max(abs(data[row, 3]), abs(data[row, 7])) + SLACK
+    reach = max(abs(data[row, 3]), abs(data[row, 7]))
     half, along, length, squared = 0.0, 0.0, 0.0, 0.0
     for axis in range(3):
         edge = 0.5 * (high[axis] - low[axis])
@@ -104,11 +125,9 @@ def _capsule_meets(data, row, low, high):
 
 
 @kernel
-def _meeting(kind, data, starts, boxes, low, high, most, found):
+def _meeting(kind, data, starts, boxes, low, high, found):
     """Fill found (n,) with whether each surface meets the box low..high, already widened."""
-    points = np.empty((most, 3))
-    one = np.empty((12 * most, 3))
-    two = np.empty((12 * most, 3))
+    points = np.empty((3, 3))
     polygon, flat = kind == 2, kind <= 1
     for row in range(len(found)):
         found[row] = False
@@ -124,10 +143,10 @@ def _meeting(kind, data, starts, boxes, low, high, most, found):
             for k in range(3):
                 for c in range(3):
                     points[k, c] = data[row, 3 * k + c]
-            found[row] = _polygon_meets(points, 3, low, high, one, two)
+            found[row] = _polygon_meets(points, 3, low, high)
         elif polygon:
             first = starts[row]
-            found[row] = _polygon_meets(data[first : starts[row + 1]], starts[row + 1] - first, low, high, one, two)
+            found[row] = _polygon_meets(data[first : starts[row + 1]], starts[row + 1] - first, low, high)
         elif kind == 3:
             found[row] = _sphere_meets(data, row, low, high)
         else:
@@ -144,10 +163,9 @@ def meets(batch: Batch, low: F64, high: F64, boxes: F64 | None = None) -> NDArra
         return found
     if boxes is None:
         boxes = batch.bounds()
-    most = int(np.diff(batch.starts).max()) if batch.kind == Kind.POLYGON else 3
     data = batch.data if batch.kind in (Kind.TRIANGLE, Kind.SMOOTH) else batch.data.astype(np.float64, copy=False)
     starts = batch.starts if batch.kind == Kind.POLYGON else np.zeros(1, np.int64)
-    _meeting(int(batch.kind), _own(data), starts, boxes, low - SLACK, high + SLACK, most, found)
+    _meeting(int(batch.kind), _own(data), starts, boxes, low - SLACK, high + SLACK, found)
     return found
 
 

@@ -24,7 +24,7 @@ from .tables import BORN, Frame
 UNIT = 2.0**24  # fixed-point units in an intensity of 1
 MAX_INTENSITY = 65536.0
 MARGIN = 4  # lattice steps by which outlines are widened before they are projected
-NEAREST_DEPTH = 1e-7  # what is nearer to the eye's plane is taken to lie on it
+NEAREST_DEPTH = 1e-12  # outlines are cut off this near to the eye's plane; no ray enters the world box nearer
 
 Line = NDArray[np.int64]
 
@@ -152,7 +152,9 @@ def _in_front(points: NDArray[np.float64]) -> NDArray[np.float64]:
         if here[0] >= NEAREST_DEPTH:
             kept.append(here)
         if (here[0] >= NEAREST_DEPTH) != (there[0] >= NEAREST_DEPTH):
-            kept.append(here + (there - here) * ((NEAREST_DEPTH - here[0]) / (there[0] - here[0])))
+            cut = here + (there - here) * ((NEAREST_DEPTH - here[0]) / (there[0] - here[0]))
+            cut[0] = NEAREST_DEPTH  # exactly: all of the image is divided by it
+            kept.append(cut)
     return np.array(kept).reshape(-1, 3)
 
 
@@ -173,7 +175,11 @@ def _scan(image, first, last, width):
                 low, high = min(low, ax), max(high, ax)
             for border in (top, bottom):
                 if (ay < border) != (by < border):
-                    x = ax + (bx - ax) * ((border - ay) / (by - ay))
+                    # from the nearer end: the other may be so far away that its digits do not reach to pixels
+                    if abs(ay - border) <= abs(by - border):
+                        x = ax + (bx - ax) * ((border - ay) / (by - ay))
+                    else:
+                        x = bx + (ax - bx) * ((border - by) / (ay - by))
                     low, high = min(low, x), max(high, x)
         if low <= high and high >= -1.5 and low <= width + 0.5:
             first[row] = min(first[row], max(np.int64(np.floor(low - 1.5)), 0))

@@ -38,7 +38,7 @@ from .tracer import Tracer
 from .usage import peak_memory, private_memory
 from .walk import HOST, PORTS
 
-FLUSH = 256  # packets for which an output is sent although there is work; less is sent when idle
+FLUSH = 1024  # packets for which an output is sent although there is work; less is sent when idle
 CLOGGED = 64  # waiting messages on a link at which no more surfaces are taken in
 
 # sums of a wave: the counts of node.tables, then these
@@ -75,6 +75,9 @@ class Processor:
         self._received = self._handed_on = 0
         self.refused: Counter[str] = Counter()
         self._cpu_at_frame = 0.0
+        self._gather, self.linger = 0, 0.0
+        self._ports = list(links.items())
+        self.choked = False
 
     # --- the thin loop's three calls ---------------------------------------------------------------
 
@@ -100,13 +103,24 @@ class Processor:
         if self.tracer.has_work:
             self.tracer.work()
         self._flush()
-        self._maybe_answer()
+        if self._wave is not None:
+            self._maybe_answer()
         return self.busy
 
     @property
     def busy(self) -> bool:
         """Whether `work` has something to do now."""
         return self.tracer.has_work or (bool(self._surfaces) and not self._clogged())
+
+    @property
+    def gathers(self) -> bool:
+        """Whether it is better to wait a little for more packets than to serve the few that are here.
+
+        While far more packets are under way than processors of this computer can serve, each turn of each node
+        costs more than the packets that it serves, unless they are many.
+        """
+        tracer = self.tracer
+        return 0 < tracer.backlog.held < self._gather and not (tracer.quota > 0 and tracer.samples_left)
 
     def wait_limit(self) -> float | None:
         """Seconds after which `work` must be called even if nothing arrives; None: never."""
@@ -126,7 +140,7 @@ class Processor:
         except ProtocolError as error:
             self._refuse(f"link {link.name}: {error}")
             return
-        number, bad = self.tracer.backlog.sort_in(arrival.message, arrival.items, port, self.tracer.limits)
+        number, bad = self.tracer.backlog.sort_in(arrival.message, arrival.items, port)
         if bad:
             self._refuse(f"link {link.name}: packet {number} of a message: {FAULTS[bad]}")
 
@@ -136,14 +150,17 @@ class Processor:
 
     def _flush(self) -> None:
         """Send the outputs that are full enough, all of them when there is nothing else to do."""
-        held = self.tracer.outputs.held
+        outputs = self.tracer.outputs
+        held = outputs.held.tolist()
         least = min(FLUSH, self.batch) if self.tracer.has_work else 1
-        for port, link in self.links.items():
-            if link.choked:
+        self.choked = False
+        for port, link in self._ports:
+            if link.waiting:
                 link.push()
+                self.choked = self.choked or link.choked
             if held[port] >= least:
-                link.send_packets(self.tracer.outputs.data[port], int(held[port]), self.batch)
-                held[port] = 0
+                link.send_packets(outputs.data[port], held[port], self.batch)
+                outputs.held[port] = 0
 
     # --- surfaces ----------------------------------------------------------------------------------
 
@@ -208,8 +225,12 @@ class Processor:
             if type(quota) is not int or not 0 <= quota < 2**32:
                 raise ProtocolError(f"a quota came as {quota!r}, wanted a whole number")
             self.tracer.quota = quota
+            gather, linger = order.get("gather", 0), order.get("linger", 0.0)
+            if type(gather) is not int or not isinstance(linger, float) or not 0.0 <= linger <= 1.0:
+                raise ProtocolError(f"gather and linger came as {gather!r}, {linger!r}, wanted packets and seconds")
+            self._gather, self.linger = gather, linger
         elif do == "collect":
-            self.tracer.collecting = np.int64(0)
+            self.tracer.collecting = 0
         elif do not in ("ready", "loaded", "report", "end"):
             raise ProtocolError(f"an order came as {do!r}, wanted one that this node knows")
 

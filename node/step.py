@@ -81,7 +81,6 @@ class Outputs(NamedTuple):
     data: NDArray[np.uint8]
     held: NDArray[np.int64]
     stack: NDArray[np.int64]
-    times: NDArray[np.float32]
 
 
 def make_outputs(room: int, stack: int) -> Outputs:
@@ -90,7 +89,6 @@ def make_outputs(room: int, stack: int) -> Outputs:
         np.zeros((OUTPUTS, HEAD + room * SIZE), np.uint8),
         np.zeros(OUTPUTS, np.int64),
         np.zeros(stack, np.int64),
-        np.zeros(stack, np.float32),
     )
 
 
@@ -263,7 +261,7 @@ def _step_ray(cell, space, frame, surfaces, pixels, packets, at, port, kind, out
     t_in, t_out, leave = passage(cell, origin, o, inv)
     counts[WALKS] += 1
     if len(surfaces.floats) > 0:
-        t, item, u, v = closest(surfaces, outputs.stack, outputs.times, o, d, inv, max(t_in, T_MIN), t_out, counts)
+        t, item, u, v = closest(surfaces, outputs.stack, o, d, inv, max(t_in, T_MIN), t_out, counts)
         if item >= 0:
             _shade(cell, space, frame, surfaces, packets, at, kind, o, d, t, item, u, v, outputs, counts)
             return

@@ -23,7 +23,8 @@ SLOT_MASK = (1 << KIND_SHIFT) - 1
 # columns of Frame.materials
 DIFFUSE, HIGHLIGHT, SHINE, SPECULAR, TRANSMISSION, IOR, MATERIAL_COLUMNS = 0, 3, 6, 7, 10, 13, 14
 # columns of Frame.lights
-LIGHT_KIND, PLACE, INTENSITY, FALLOFF, SPOT, AXIS, COS_INNER, COS_OUTER, COS_DISC, DISC = 0, 1, 4, 7, 8, 9, 12, 13, 14, 15
+LIGHT_KIND, PLACE, INTENSITY, FALLOFF, SPOT, AXIS = 0, 1, 4, 7, 8, 9
+COS_INNER, COS_OUTER, COS_DISC, DISC = 12, 13, 14, 15
 LIGHT_COLUMNS = 18
 
 # places in the array of counts (int64) that a step adds to
@@ -42,8 +43,8 @@ COUNTS = MISADDRESSED + 1
 class Surfaces(NamedTuple):
     """What a node holds, built for the ray step. Items are surfaces in the order of the hierarchy's leaves.
 
-    floats, ints   the hierarchy (`node.hierarchy`), the same memory seen twice
-    items          uint32, kind << 29 | row in the table of its kind
+    floats, words  the hierarchy (`node.hierarchy`), the same memory seen twice
+    items          uint32, kind << 29 | row in the table of its kind; rows of a kind are in leaf order too
     ids            uint32, number in the scene
     materials      uint16, row of the material table
     triangles      float32 (n, 9); smooth float32 (n, 18); spheres float64 (n, 4)
@@ -52,7 +53,7 @@ class Surfaces(NamedTuple):
     """
 
     floats: NDArray[np.float32]
-    ints: NDArray[np.int32]
+    words: NDArray[np.uint32]
     items: NDArray[np.uint32]
     ids: NDArray[np.uint32]
     materials: NDArray[np.uint16]

@@ -17,11 +17,11 @@ from .surfaces import Batch, SurfaceSet, merge
 from .tables import BORN, COUNTS, DIED, SENT, Frame, frame_limits
 from .walk import HOST, OUTPUTS, SELF, SELF_RAYS
 
-CHUNK = 4096  # packets in a call of the step: its overhead is paid, and links are looked at every few ms
+CHUNK = 8192  # packets in a call of the step: its overhead is paid, and links are looked at every few ms
 WORTHWHILE = 256  # packets for which a call is worth more than serving classes strictly in order
 ADMIT_BELOW = 1024  # primaries are born only while fewer rays than this wait
 ADMIT_AT_ONCE = 8192
-ROOM = 8192  # packets that an output holds
+ROOM = 16384  # packets that an output holds
 
 
 class Tracer:
@@ -29,6 +29,7 @@ class Tracer:
 
     counts     int64, see `node.tables`: what the machine did for this frame
     quota      primaries that this node may still bear before it hears from the root again
+    samples_left  whether primaries of this node are still to be born
     """
 
     def __init__(self, index: tuple[int, int, int], shape: tuple[int, int, int]) -> None:
@@ -43,8 +44,9 @@ class Tracer:
         self.outputs = make_outputs(ROOM, DEPTH)
         self.counts = np.zeros(COUNTS, np.int64)
         self.cursor = new_cursor(False)
+        self.samples_left = False
         self.quota = 0
-        self.collecting = np.int64(-1)  # place in the pixel store, -1: nothing to send
+        self.collecting = -1  # place in the pixel store, -1: nothing to send
         self.pixels: Pixels | None = None
 
     # --- set-up ------------------------------------------------------------------------------------
@@ -75,10 +77,12 @@ class Tracer:
         """Begin a frame: an empty pixel store, no packets, all counts zero."""
         assert self.space is not None and self.cell is not None
         self.frame, self.limits = frame, frame_limits(frame, self.shape)
+        self.backlog.set_limits(self.limits)
         self.pixels = make_pixels(frame, self.space, self.cell)
         self.cursor = new_cursor(len(self.pixels.first) > 0)
+        self.samples_left = len(self.pixels.first) > 0
         self.counts[:] = 0
-        self.quota, self.collecting = 0, np.int64(-1)
+        self.quota, self.collecting = 0, -1
         self.outputs.held[:] = 0
         room = max(ROOM, 2 * (frame.n_lights + 2))
         if self.outputs.data.shape[1] != HEAD + room * SIZE:
@@ -89,14 +93,9 @@ class Tracer:
     # --- work --------------------------------------------------------------------------------------
 
     @property
-    def samples_left(self) -> bool:
-        """Whether primaries of this node are still to be born."""
-        return int(self.cursor[DONE]) == 0
-
-    @property
     def has_work(self) -> bool:
         """Whether `work` would do anything."""
-        return self.backlog.held > 0 or (self.quota > 0 and self.samples_left) or int(self.collecting) >= 0
+        return self.backlog.held > 0 or (self.quota > 0 and self.samples_left) or self.collecting >= 0
 
     def work(self) -> None:
         """One call of the step over the most urgent packets; first bear primaries if few rays wait."""
@@ -145,6 +144,7 @@ class Tracer:
         stack.ports[stack.held : stack.held + made] = SELF
         stack.grew(made)
         self.quota -= made
+        self.samples_left = int(self.cursor[DONE]) == 0
 
     def _take_own(self, output: int, stack: int) -> None:
         """What starts in this node waits for the next call."""
@@ -159,15 +159,16 @@ class Tracer:
         output = corner_output(self.index, self.shape)
         held = int(self.outputs.held[output])
         room = (self.outputs.data.shape[1] - HEAD) // SIZE - held
-        made, self.collecting = send_pixels(
+        made, cursor = send_pixels(
             self.pixels,
             self.frame.width,
-            self.collecting,
+            np.int64(self.collecting),
             self.outputs.data[output],
             HEAD + held * SIZE,
             min(room, CHUNK),
             self.counts,
         )
+        self.collecting = int(cursor)
         self.outputs.held[output] += made
         self.counts[SENT + output] += made
         if output == HOST:
@@ -176,7 +177,7 @@ class Tracer:
     @property
     def memory(self) -> dict[str, int]:
         """Bytes by use: what the memory bound is about."""
-        surfaces = sum(table.nbytes for table in self.surfaces if table is not self.surfaces.ints)
+        surfaces = sum(table.nbytes for table in self.surfaces if table.base is None)  # views are seen twice
         described = sum(batch.data.nbytes + batch.ids.nbytes + batch.materials.nbytes for batch in self.retained)
         pixels = 0 if self.pixels is None else self.pixels.sums.nbytes + self.pixels.samples.nbytes
         return {

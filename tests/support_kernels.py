@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 from raygrid.node import tables
+from raygrid.node.camera import entry, eye_ray, home, image_point
 from raygrid.node.compiled import kernel, part
 from raygrid.node.hierarchy import DEPTH
 from raygrid.node.holdings import build_surfaces
 from raygrid.node.intersect import MISS, cone, in_polygon, plane, sphere, triangle
-from raygrid.node.lattice import make_cell
+from raygrid.node.lattice import Space, make_cell
 from raygrid.node.surfaces import SurfaceSet
-from raygrid.node.tables import KIND_SHIFT, SLOT_MASK, Surfaces
+from raygrid.node.tables import KIND_SHIFT, SLOT_MASK, Frame, Surfaces
 from raygrid.node.traverse import blocked, closest
 from raygrid.node.walk import inverse
 from support_space import even_space
@@ -49,13 +52,13 @@ def _meet_each(surfaces, items, origins, directions, lowers, found):
 
 
 @kernel
-def _closest_each(surfaces, stack, times, origins, directions, lowers, uppers, counts, walked, brute):
+def _closest_each(surfaces, stack, origins, directions, lowers, uppers, counts, walked, brute):
     """walked, brute (n, 3): t and id (-1 for none) of the closest hit, and whether anything was hit."""
     for k in range(len(origins)):
         o = (origins[k, 0], origins[k, 1], origins[k, 2])
         d = (directions[k, 0], directions[k, 1], directions[k, 2])
         inv = (inverse(d[0]), inverse(d[1]), inverse(d[2]))
-        t, item, _, _ = closest(surfaces, stack, times, o, d, inv, lowers[k], uppers[k], counts)
+        t, item, _, _ = closest(surfaces, stack, o, d, inv, lowers[k], uppers[k], counts)
         walked[k, 0], walked[k, 1] = t, surfaces.ids[item] if item >= 0 else -1.0
         walked[k, 2] = 1.0 if blocked(surfaces, stack, o, d, inv, lowers[k], uppers[k], counts) else 0.0
         brute[k, 0], brute[k, 1] = uppers[k], -1.0
@@ -85,7 +88,38 @@ def meet_each(surfaces: Surfaces, ids: NDArray[np.integer], origins: F64, direct
 def closest_each(surfaces: Surfaces, origins: F64, directions: F64, lowers: F64, uppers: F64) -> tuple[F64, F64]:
     """(by the hierarchy, over all surfaces one by one): rows of t, id or -1, and 1 if anything was hit."""
     walked, brute = np.empty((len(origins), 3)), np.empty((len(origins), 3))
-    stack, times = np.zeros(DEPTH, np.int64), np.zeros(DEPTH, np.float32)
-    counts = np.zeros(tables.COUNTS, np.int64)
-    _closest_each(surfaces, stack, times, origins, directions, lowers, uppers, counts, walked, brute)
+    stack, counts = np.zeros(DEPTH, np.int64), np.zeros(tables.COUNTS, np.int64)
+    _closest_each(surfaces, stack, origins, directions, lowers, uppers, counts, walked, brute)
     return walked, brute
+
+
+@kernel
+def _homes(frame, space, enters, points, places, directions):
+    for sample in range(len(enters)):
+        i, j = image_point(sample, frame.width, frame.samples)
+        origin, direction = eye_ray(frame.camera, i, j)
+        enters[sample], point = entry(space.step, origin, direction)
+        place = home(space, point)
+        for axis in range(3):
+            points[sample, axis], places[sample, axis], directions[sample, axis] = (
+                point[axis],
+                place[axis],
+                direction[axis],
+            )
+
+
+class Samples(NamedTuple):
+    """Every sample of a frame: whether its ray enters the world box, where, in which cell, and which way it goes."""
+
+    enters: NDArray[np.bool_]
+    points: NDArray[np.int64]
+    homes: NDArray[np.int64]
+    directions: F64
+
+
+def all_samples(frame: Frame, space: Space) -> Samples:
+    """All samples of a frame, one after the other."""
+    n = frame.width * frame.height * frame.samples
+    samples = Samples(np.zeros(n, bool), np.zeros((n, 3), np.int64), np.zeros((n, 3), np.int64), np.zeros((n, 3)))
+    _homes(frame, space, samples.enters, samples.points, samples.homes, samples.directions)
+    return samples

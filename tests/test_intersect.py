@@ -12,6 +12,7 @@ from oracle.examples import AHEAD, HAND
 from raygrid.node.intersect import GRAZING
 from raygrid.node.lattice import SLACK
 from raygrid.node.surfaces import Batch, Kind, SurfaceSet
+from support_distance import crossing_number
 from support_kernels import built, meet_each
 from support_surfaces import (
     F64,
@@ -264,18 +265,6 @@ def flat(outlines: list[F64], drop: int) -> Batch:
         row[:, (drop + 1) % 3], row[:, (drop + 2) % 3] = points[:, 0], points[:, 1]
         rows.append(row)
     return batch(Kind.POLYGON, rows)
-
-
-def crossing_number(points: F64, x: F64, y: F64) -> NDArray[np.bool_]:
-    """Whether (x, y) have an odd number of edges to their right, all edges tried, each from its lower end up."""
-    inside = np.zeros(len(x), bool)
-    for a, b in zip(points, np.roll(points, -1, axis=0), strict=True):
-        if a[1] == b[1]:
-            continue
-        a, b = (a, b) if a[1] < b[1] else (b, a)
-        slope = (b[0] - a[0]) / (b[1] - a[1])
-        inside ^= (a[1] <= y) & (y < b[1]) & (x < a[0] + (y - a[1]) * slope)
-    return inside
 
 
 def nasty_points(points: F64, rng: Generator, n: int) -> F64:

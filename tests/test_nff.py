@@ -2,6 +2,7 @@
 
 import os
 import time
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -228,10 +229,10 @@ def test_lines_are_counted_with_every_line_ending_and_over_comments(ending):
         parsed(text)
 
 
-words = st.sampled_from(
-    ["b", "v", "from", "at", "up", "angle", "hither", "resolution", "l", "f", "c", "s", "p", "pp", "#", "\n", "x"]
-    + ["0", "1", "-1", "3", "4", "0.5", "1e30", "-1e30", "1e-300", "nan", "inf", "1_0", "1e400", "\0", "é", "2.5"]
-)
+KEYWORDS = ["b", "v", "from", "at", "up", "angle", "hither", "resolution", "l", "f", "c", "s", "p", "pp"]
+NUMBERS = ["0", "1", "-1", "3", "4", "0.5", "2.5", "1e30", "-1e30", "1e-300"]
+OTHERS = ["#", "\n", "x", "nan", "inf", "1_0", "1e400", "\0", "é"]
+words = st.sampled_from([*KEYWORDS, *NUMBERS, *OTHERS])
 
 
 @given(st.binary(max_size=200))
@@ -263,7 +264,7 @@ entities = st.one_of(
 @settings(max_examples=300)
 @given(st.lists(entities, min_size=1, max_size=5))
 def test_any_entities_either_parse_or_are_refused(text):
-    try_to_parse(VIEW.encode() + " ".join(sum(text, [])).encode())
+    try_to_parse(VIEW.encode() + " ".join(chain.from_iterable(text)).encode())
 
 
 def try_to_parse(data):
@@ -401,8 +402,9 @@ def test_spd_gears_keep_their_concave_faces_and_glass():
 def test_spd_scenes_cut_anywhere_are_refused_or_shorter(file):
     data = file.read_bytes()
     whole = len(load_nff(file).surfaces)
-    for end in np.linspace(0, len(data) - 2, 25).astype(int):
+    for end in np.linspace(1, len(data) - 2, 25).astype(int):
+        text = data[:end].rpartition(b" ")[0]  # a cut inside a number looks like another number
         try:
-            assert len(parse_nff(file, data[:end]).surfaces) <= whole
+            assert len(parse_nff(file, text).surfaces) < whole
         except SceneError as error:
             assert str(error).startswith(str(file))  # noqa: PT017 - both ways are right

@@ -1,0 +1,43 @@
+"""What all tests share: time limits, steady random cases, and the check that nothing is left behind."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterator
+
+import pytest
+from hypothesis import settings
+from support_cases import steady
+from support_processes import MARK, Leftovers, no_leftovers
+
+__all__ = ["no_leftovers"]  # for the single tests of files that start processes
+
+TIMEOUT, SLOW_TIMEOUT = 180, 900  # seconds; a first run compiles
+
+settings.register_profile("steady", steady(100))
+settings.load_profile("steady")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Give every test a time limit that fits it, unless it names its own."""
+    for item in items:
+        if item.get_closest_marker("timeout") is None:
+            slow = item.get_closest_marker("slow") is not None
+            item.add_marker(pytest.mark.timeout(SLOW_TIMEOUT if slow else TIMEOUT))
+
+
+@pytest.fixture(autouse=True, scope="module")
+def nothing_left() -> Iterator[None]:
+    """Fail a file of tests that leaves processes, socket directories, sockets or pipes behind.
+
+    Once a file, because looking costs 0.2 s; files that start processes use `no_leftovers` for each test as well.
+    """
+    mark, before = secrets.token_hex(8), os.environ.get(MARK)
+    os.environ[MARK] = mark
+    leftovers = Leftovers(mark, "/tmp")
+    yield
+    left = leftovers.find()
+    os.environ.pop(MARK) if before is None else os.environ.update({MARK: before})
+    if left:
+        pytest.fail("the tests of this file left behind:\n" + "\n".join(f"  {line}" for line in left), pytrace=False)
