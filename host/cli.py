@@ -150,7 +150,10 @@ def cli() -> None:
 @_debug_option
 # fmt: on
 def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **options: Any) -> None:
-    """Render SCENE (.nff .obj .ply .stl .glb .gltf .toml) on an array of processes."""
+    """Render a scene file on an array of processes.
+
+    SCENE is a file of one of these kinds: .nff .obj .ply .stl .glb .gltf .toml
+    """
     from raygrid.host.command_render import Request, default_outputs, run_render
 
     names = ("batch", "budget", "transfer", "stats", "patience", "quiet")
@@ -163,7 +166,10 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 @_debug_option
 def info(scene: str, as_json: bool) -> None:
-    """Say what is in SCENE (.nff .obj .ply .stl .glb .gltf .toml)."""
+    """Say what is in a scene file.
+
+    SCENE is a file of one of these kinds: .nff .obj .ply .stl .glb .gltf .toml
+    """
     from raygrid.host.load import load_scene
     from raygrid.host.scene import describe
 
@@ -241,7 +247,7 @@ def _run(arguments: list[str]) -> int:
     except click.ClickException as error:
         context = getattr(error, "ctx", None)
         command = "raygrid" if context is None else context.command_path
-        _say(f"{command}: {' '.join(error.format_message().split())} ({command} --help says more)")
+        _say(f"{command}: {_misused(error)} ({command} --help says more)")
         return 2
     except (KeyboardInterrupt, click.exceptions.Abort):
         _say("raygrid: stopped")
@@ -255,6 +261,15 @@ def _run(arguments: list[str]) -> int:
     except Exception as error:
         _say(_told(error))
         return 1
+
+
+def _misused(error: click.ClickException) -> str:
+    """What is wrong with the arguments, as one line."""
+    message = " ".join(error.format_message().split())
+    if isinstance(error, click.BadParameter) and error.message and error.param is not None:
+        names = sorted((*error.param.opts, error.param.human_readable_name), key=lambda name: -name.count("-"))
+        message = f"{names[0]}: {' '.join(error.message.split())}"
+    return message
 
 
 def _told(error: Exception) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from dataclasses import dataclass
 from typing import Any
 
@@ -74,14 +75,16 @@ def make_job(scene: Scene, shape: tuple[int, int, int], settings: Settings) -> J
 
 
 def _frame(scene: Scene, world: World, settings: Settings) -> Frame:
-    width, height = settings.size or scene.size or DEFAULT_SIZE
-    samples = settings.samples or scene.samples or 1
-    depth = settings.depth or scene.depth or DEFAULT_DEPTH
+    width, height = _pair(_first(settings.size, scene.size, DEFAULT_SIZE))
+    samples = _whole("samples a pixel", _first(settings.samples, scene.samples, 1))
+    depth = _whole("depth", _first(settings.depth, scene.depth, DEFAULT_DEPTH))
     _check_size(width, height, samples, depth)
     if len(scene.lights) > MAX_LIGHTS:
         raise SceneError(f"{scene.name}: {len(scene.lights)} lights came, wanted at most {MAX_LIGHTS}")
     highlights = scene.highlights if settings.highlights is None else settings.highlights
-    least = settings.min_weight if settings.min_weight is not None else scene.min_weight
+    least = _first(settings.min_weight, scene.min_weight, 0.0)
+    if not (isinstance(least, int | float) and 0.0 <= least < math.inf):
+        raise SceneError(f"a least weight came as {least!r}, wanted a finite number of 0 or more")
     materials = scene.materials.copy()
     if not highlights:
         materials["highlight"] = 0.0
@@ -97,9 +100,29 @@ def _frame(scene: Scene, world: World, settings: Settings) -> Frame:
         height,
         samples,
         depth,
-        float(least or 0.0),
+        float(least),
         bool(np.any(lights["cos_disc"] <= 1.0)) if len(lights) else False,
     )
+
+
+def _first(*choices: Any) -> Any:
+    """The first that is not None."""
+    return next(choice for choice in choices if choice is not None)
+
+
+def _pair(size: Any) -> tuple[int, int]:
+    try:
+        width, height = size
+        return operator.index(width), operator.index(height)
+    except (TypeError, ValueError):
+        raise SceneError(f"a size came as {size!r}, wanted two whole numbers such as (512, 384)") from None
+
+
+def _whole(what: str, value: Any) -> int:
+    try:
+        return operator.index(value)
+    except TypeError:
+        raise SceneError(f"{what} came as {value!r}, wanted a whole number") from None
 
 
 def _check_size(width: int, height: int, samples: int, depth: int) -> None:

@@ -25,7 +25,11 @@ def load_scene(path: str | Path) -> Scene:
 
     Raises SceneError for an unknown suffix, a missing or unreadable file, and whatever its reader refuses.
     """
+    if not str(path) or "\0" in str(path):
+        raise SceneError(f"a scene came as {str(path)!r}, wanted the name of a file")
     path = Path(path)
+    if path.is_dir():
+        raise SceneError(f"{path}: the scene is a directory, wanted a file of one of: {' '.join(READERS)}")
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         came = f"the suffix {path.suffix!r}" if path.suffix else "no suffix"

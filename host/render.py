@@ -10,13 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.emulator.driver import BUDGET, Driver, Progress
+from raygrid.emulator.limits import read_resources
 from raygrid.host.job import Job, rays_enter
 from raygrid.host.picture import Picture
 from raygrid.host.stats import make_stats
-from raygrid.node.errors import ArrayError
+from raygrid.node.errors import ArrayError, TooLarge
 from raygrid.node.lattice import LONGEST_STEP
 from raygrid.node.pixels import MAX_INTENSITY, UNIT
 
+MOST_BUDGET = (1 << 32) - 1  # a quota of primary rays travels as a u32
+PIXEL_BYTES = 96  # of one pixel in its home, in the sums collected, and while its picture is made
 Watch = Callable[[str, Progress | None], None]
 
 
@@ -27,6 +30,9 @@ def render_job(
 
     `loaded`: the array holds this job's surfaces already. Raises ArrayError and its kinds.
     """
+    if not 1 <= budget <= MOST_BUDGET:
+        raise ArrayError(f"a budget came as {budget}, wanted 1 to {MOST_BUDGET} packets in flight")
+    _check_memory(job)
     seconds: dict[str, float] = {}
     progress: Progress | None = None
 
@@ -50,6 +56,16 @@ def render_job(
     frame = job.frame
     stats = make_stats(job, driver, progress, seconds)
     return Picture(sums.reshape(frame.height, frame.width, 3), frame.samples, stats)
+
+
+def _check_memory(job: Job) -> None:
+    """Raise TooLarge for a picture that this computer has no room for, before the kernel ends a process for it."""
+    need, there = job.pixels * PIXEL_BYTES, read_resources().memory
+    if need > there.left:
+        raise TooLarge(
+            f"a picture of {job.frame.width}x{job.frame.height} pixels needs {need / 1e9:.1f} GB of memory, "
+            f"and {there.limit} leaves {max(there.left, 0) / 1e9:.1f} GB"
+        )
 
 
 CHECKED = 65_536  # pixels without samples that are looked at again

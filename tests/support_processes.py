@@ -200,6 +200,11 @@ def warm_for_ever(report: Callable[[int, int, str], None]) -> None:
     select.select([reading], [], [])
 
 
+def warm_untidily(report: Callable[[int, int, str], None]) -> None:
+    """Leave a descriptor open, as a library might."""
+    os.pipe()
+
+
 def warm_badly(report: Callable[[int, int, str], None]) -> None:
     """Fail."""
     raise RuntimeError("no compiler")

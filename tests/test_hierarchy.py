@@ -37,36 +37,42 @@ PLANES = [np.array([-0.375, -0.25, 0.0, 0.125, 0.25])] * 3
 # --- the tree -------------------------------------------------------------------------------------------------
 
 
-def deepest_stack(boxes: F64, order: np.ndarray, nodes: F64) -> int:
-    """Raise AssertionError unless the tree holds each item once, in boxes that contain it; returns how many
-    places a walk needs on its stack."""
-    words, floats = nodes.view(np.uint32), nodes[:, :CHILDREN].reshape(-1, 2, 3, WIDE).astype(np.float64)
+def deepest_stack(boxes: F64, kinds: NDArray[np.int8], order: NDArray[np.intp], nodes: NDArray[np.float32]) -> int:
+    """Raise AssertionError unless the tree holds each item once, in leaves of one kind and boxes that contain it.
+
+    Returns how many places a walk needs on its stack, whatever the ray.
+    """
+    words = nodes.view(np.uint32)
     found: list[int] = []
     waiting = [(0, np.full(3, -np.inf), np.full(3, np.inf), 0)]  # node, the box above, keys on the stack
-    used, deepest = [], 0
+    used, deepest = set(), 0
     while waiting:
         node, low, high, keys = waiting.pop()
-        used.append(node)
+        assert node not in used
+        used.add(node)
         deepest = max(deepest, keys + WIDE)
-        lanes = np.flatnonzero((floats[node] != NOWHERE).any((0, 1)))
-        assert node == 0 or len(lanes) > 1
+        planes = nodes[node, :CHILDREN].reshape(2, 3, WIDE).astype(np.float64)
+        lanes = np.flatnonzero((planes != NOWHERE).any((0, 1)))
+        assert len(lanes) > 0
+        assert (words[node, CHILDREN + len(lanes) :] == 0).all()
         for lane in lanes:
-            own_low, own_high = floats[node, 0, :, lane], floats[node, 1, :, lane]
+            own_low, own_high = planes[:, :, lane]
             assert (own_low >= low).all()
             assert (own_high <= high).all()
             child = int(words[node, CHILDREN + lane])
-            if child < LEAF_BIT:
+            if not child & LEAF_BIT:
                 waiting.append((child, own_low, own_high, keys + len(lanes) - 1))
                 continue
             first, count = child & FIRST_MASK, (child >> COUNT_SHIFT & COUNT_MASK) + 1
             assert count <= LEAF
             items = order[first : first + count]
             found += items.tolist()
+            assert len(set(kinds[items])) == 1
             # boxes are rounded to binary32, by much less than they are inflated
             assert (boxes[items, 0] >= own_low + 0.9 * INFLATE).all()
             assert (boxes[items, 1] <= own_high - 0.9 * INFLATE).all()
     assert sorted(found) == list(range(len(boxes)))
-    assert sorted(used) == list(range(len(nodes)))
+    assert used == set(range(len(nodes)))
     return deepest
 
 
@@ -77,7 +83,7 @@ def random_boxes(rng: Generator, n: int) -> F64:
     return np.stack((middles - half, middles + half), axis=1)
 
 
-@pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 6, 9, 17, 100, 3000])
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 6, 8, 9, 17, 100, 3000])
 def test_every_item_is_in_the_tree_once(n):
     rng = np.random.default_rng(n)
     for boxes in (
@@ -86,32 +92,45 @@ def test_every_item_is_in_the_tree_once(n):
         random_boxes(rng, n) * np.array([1.0, 0.0, 0.0]),  # on a line
         np.stack([np.tile([-s, s], (3, 1)).T for s in rng.uniform(0, 0.5, n)]),  # one middle, many sizes
         np.round(random_boxes(rng, n), 1),  # many equal middles
+        np.zeros((n, 2, 3)),
     ):
-        deepest_stack(boxes, *build(boxes))
+        for most in (1, 2, 6):
+            kinds = rng.integers(0, most, n).astype(np.int8)
+            assert deepest_stack(boxes, kinds, *build(boxes, kinds)) <= DEPTH
+        assert build(boxes)[1].ctypes.data % 64 == 0
 
 
 def test_a_broken_tree_is_seen():
-    boxes = random_boxes(np.random.default_rng(1), 50)
+    boxes, kinds = random_boxes(np.random.default_rng(1), 100), np.zeros(100, np.int8)
     order, nodes = build(boxes)
-    for row, column in ((0, 0), (1, 3 * WIDE + 1), (2, 5 * WIDE)):
+    for row, column, value in ((0, 3, 0.1234), (5, 24, -0.4), (3, 40, 0.1234)):
         broken = nodes.copy()
-        broken[row, column] = 0.1234
+        assert broken[row, column] != NOWHERE
+        broken[row, column] = value
         with pytest.raises(AssertionError):
-            deepest_stack(boxes, order, broken)
+            deepest_stack(boxes, kinds, order, broken)
     twice = order.copy()
     twice[7] = twice[8]
     with pytest.raises(AssertionError):
-        deepest_stack(boxes, twice, nodes)
+        deepest_stack(boxes, kinds, twice, nodes)
+    with pytest.raises(AssertionError):
+        deepest_stack(boxes, np.arange(100).astype(np.int8), order, nodes)
 
 
-@pytest.mark.parametrize("base", [2.0, 4.0, 16.0, 256.0])
+@pytest.mark.parametrize("base", [1.07, 2.0, 4.0, 16.0, 256.0])
 def test_the_stack_of_a_walk_is_large_enough(base):
     """Middles that crowd towards a point make the deepest trees."""
-    crowd = base ** -np.arange(900.0)
+    crowd = base ** -np.arange(5000.0)
     crowd = crowd[crowd > 1e-290]
-    middles = np.repeat(np.stack((crowd, crowd, crowd), axis=1), 5, axis=0)
-    boxes = np.stack((middles, middles), axis=1)
-    assert deepest_stack(boxes, *build(boxes)) <= DEPTH
+    for axes in (np.ones(3), np.array([1.0, 0.0, 0.0])):
+        middles = np.repeat(crowd[:, None] * axes, 5, axis=0)
+        boxes, kinds = np.stack((middles, middles), axis=1), np.zeros(len(middles), np.int8)
+        assert deepest_stack(boxes, kinds, *build(boxes, kinds)) <= DEPTH
+
+
+def test_more_items_than_leaves_can_name_are_refused():
+    with pytest.raises(ValueError, match="a hierarchy over 268435457 items, wanted at most 268435456"):
+        build(np.broadcast_to(np.zeros((1, 2, 3)), (2**28 + 1, 2, 3)))
 
 
 # --- walking it -----------------------------------------------------------------------------------------------
@@ -143,7 +162,7 @@ def rays_at(surfaces: SurfaceSet, rng: Generator, n: int) -> tuple[F64, F64]:
 def check_same(surfaces: SurfaceSet, rng: Generator, n: int) -> int:
     """Walk the hierarchy and try all surfaces; returns how many rays hit something."""
     origins, d = rays_at(surfaces, rng, n)
-    lowers = np.where(rng.random(n) < 0.7, T_MIN, rng.uniform(0, 0.5, n))
+    lowers = np.where(rng.random(n) < 0.7, T_MIN, rng.uniform(T_MIN, 0.5, n))
     uppers = np.where(rng.random(n) < 0.7, 2e18, lowers + rng.uniform(0, 1, n))
     walked, brute = closest_each(built(surfaces), origins, d, lowers, uppers)
     np.testing.assert_array_equal(walked, brute)
@@ -210,7 +229,7 @@ def test_of_coincident_surfaces_the_smallest_id_is_hit():
     surfaces = merge(batches)
     assert check_same(surfaces, rng, 4000) > 1000
     origins, d = rays_at(surfaces, rng, 4000)
-    walked, _ = closest_each(built(surfaces), origins, d, np.zeros(4000), np.full(4000, 10.0))
+    walked, _ = closest_each(built(surfaces), origins, d, np.full(4000, T_MIN), np.full(4000, 10.0))
     assert walked[:, 1].max() < total
 
 
@@ -226,6 +245,6 @@ def test_grazing_rays_at_slivers():
     d = sideways + 10.0 ** rng.uniform(-9, -6, (6000, 1)) * normals[chosen]
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     origins = points_on(rows, rng)[chosen] - rng.uniform(0.5, 2, (6000, 1)) * d
-    walked, brute = closest_each(built(SurfaceSet((rows,))), origins, d, np.zeros(6000), np.full(6000, 10.0))
+    walked, brute = closest_each(built(SurfaceSet((rows,))), origins, d, np.full(6000, T_MIN), np.full(6000, 10.0))
     np.testing.assert_array_equal(walked, brute)
     assert (brute[:, 1] >= 0).sum() > 2000

@@ -16,6 +16,7 @@ from support_processes import (
     gate,
     no_leftovers,
     open_descriptors,
+    wait_dead,
     wait_ended,
     wait_readable,
 )
@@ -68,9 +69,10 @@ def test_27_nodes_in_one_go_and_more_later(gate: Gate):
     gate.wait_empty()
 
 
-def test_a_node_holds_no_descriptor_but_the_documented_ones(gate: Gate):
+@pytest.mark.parametrize("warm", ["warm_quickly", "warm_untidily"])
+def test_a_node_holds_no_descriptor_but_the_documented_ones(gate: Gate, warm):
     inheritable = os.memfd_create("of the front end", 0)
-    with start() as nursery:
+    with start(warm) as nursery:
         os.close(inheritable)
         for number in range(3):  # later ones must not inherit what belongs to earlier ones
             nursery.launch([gate.config(number)])
@@ -174,6 +176,13 @@ def test_nothing_goes_to_the_terminal_without_demand(gate: Gate, monkeypatch, ca
     assert capfd.readouterr() == ("", "")
 
 
+def test_many_ends_are_kept_for_a_front_end_that_does_not_listen(gate: Gate):
+    with start() as nursery:
+        pids = nursery.launch([gate.config(number, "return") for number in range(400)])  # a socket holds some 300
+        wait_dead(*pids)
+        assert sorted(event.pid for event in wait_ended(nursery, 400)) == sorted(pids)
+
+
 def test_a_babbling_node_is_drained_and_its_end_attributed(gate: Gate):
     with start() as nursery:
         nursery.launch([gate.config(7, "babble")])
@@ -219,7 +228,7 @@ def test_ending_does_not_wait_for_the_warming():
     nursery = start(warm="warm_for_ever")
     while not any(isinstance(event, Warming) for event in nursery.read_events()):
         wait_readable(nursery.fileno(), "the first report")
-    nursery.end()
+    nursery.end(timeout=1e6)
     assert not psutil.pid_exists(nursery.pid)
 
 
@@ -274,6 +283,13 @@ def test_a_program_that_is_not_there():
         Nursery.start(program="no_such_program") as nursery,
         pytest.raises(ArrayError, match=r"exit code 1 before it was warm: raygrid nursery: ModuleNotFoundError: No"),
     ):
+        nursery.wait_warm(TIMEOUT)
+
+
+def test_files_where_the_user_stands_are_not_imported(monkeypatch, tmp_path):
+    (tmp_path / "msgpack.py").write_text("raise SystemExit(9)")
+    monkeypatch.chdir(tmp_path)
+    with start() as nursery:
         nursery.wait_warm(TIMEOUT)
 
 
