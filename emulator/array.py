@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from .driver import Driver
 
-BATCH = 1024  # most packets a message
+BATCH = 4096  # most packets a message
 EPOCH = 0
 WARM_SECONDS = 300.0  # a first run compiles; nothing takes longer than this on a slow machine
 END_SECONDS = 5.0

@@ -33,6 +33,7 @@ PATIENCE = 30.0  # seconds without any progress after which the array is taken t
 HOLD = 0.02  # seconds for which a busy node may hold a wave, and a millisecond more for every node
 LINGER = 0.015  # seconds for which a node waits for more packets, at most
 GATHER = 0.5  # part of the mean share of packets that it waits for
+EAGER_FLUSH, CROWDED_FLUSH = 256, 4096  # packets for which a node with work sends an output
 LEAST_SHARE = 256  # packets a node below which nobody waits
 
 
@@ -186,8 +187,8 @@ class Driver:
         """
         share = now.in_flight // self.nodes
         if self.nodes <= self._processors or share < LEAST_SHARE:
-            return {"gather": 0, "linger": 0.0}
-        return {"gather": int(share * GATHER), "linger": LINGER}
+            return {"gather": 0, "linger": 0.0, "flush": EAGER_FLUSH}
+        return {"gather": int(share * GATHER), "linger": LINGER, "flush": CROWDED_FLUSH}
 
     def _why_stuck(self, now: Progress) -> str:
         waiting = [

@@ -134,7 +134,7 @@ def cli() -> None:
 @click.option("--highlights/--no-highlights", default=None, help="Phong highlights.  [default: off for NFF, else on]")
 @click.option("--split", type=click.Choice(["balanced", "uniform"]), default="balanced", show_default=True,
               help="Where the planes between processors lie: so that work is spread, or in equal boxes.")
-@click.option("--batch", type=Number(1, 8192), default=1024, show_default=True, metavar="PACKETS",
+@click.option("--batch", type=Number(1, 8192), default=4096, show_default=True, metavar="PACKETS",
               help="Most packets a message; 1 is the machine of 1983.")
 @click.option("--budget", type=Number(1, (1 << 32) - 1), default=262_144, show_default=True, metavar="PACKETS",
               help="Packets in flight below which new primary rays are admitted.")

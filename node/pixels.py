@@ -5,8 +5,9 @@ which packets come home cannot matter (law 4). Intensities above MAX_INTENSITY c
 that the sum of 2^22 packets cannot overflow.
 
 A home holds the samples whose rays enter the world box in its cell. Seen from the eye these lie in the
-outlines of the cell's outer faces, so the store keeps one span of columns a row, a little larger than the
-outlines. Two homes may each hold some samples of the same pixel; the host adds what they send.
+outlines of the cell's outer faces (of the whole cell, if parallel rays begin in it), so the store keeps one
+span of columns a row, a little larger than the outlines. Two homes may each hold some samples of the same
+pixel; the host adds what they send.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ UNIT = 2.0**24  # fixed-point units in an intensity of 1
 MAX_INTENSITY = 65536.0
 MARGIN = 4  # lattice steps by which outlines are widened before they are projected
 NEAREST_DEPTH = 1e-12  # outlines are cut off this near to the eye's plane; no ray enters the world box nearer
+PARALLEL = 1e-6  # rays this near to a face may enter by it or by the next one
 
 Line = NDArray[np.int64]
 
@@ -71,7 +73,8 @@ def make_pixels(frame: Frame, space: Space, cell: Cell) -> Pixels:
     _outline(frame, space, cell, first, last)
     rows = np.flatnonzero(last >= first)
     if len(rows) == 0:
-        return Pixels(0, np.zeros(0, np.int64), np.zeros(1, np.int64), np.zeros((0, 3), np.int64), np.zeros(0, np.int64))
+        none = np.zeros(0, np.int64)
+        return Pixels(0, none, np.zeros(1, np.int64), np.zeros((0, 3), np.int64), none)
     begin, end = int(rows[0]), int(rows[-1]) + 1
     widths = np.maximum(last[begin:end] - first[begin:end] + 1, 0)
     offsets = np.concatenate(([0], np.cumsum(widths))).astype(np.int64)
@@ -90,24 +93,28 @@ def _outline(frame: Frame, space: Space, cell: Cell, first: Line, last: Line) ->
     inverse = np.linalg.inv(solver)
     step = np.array(space.step)
     low, high = np.array(cell.low_at) - MARGIN * step, np.array(cell.high_at) + MARGIN * step
-    if not perspective:
-        _add_outline(_corners(low, high), eye, inverse, False, first, last, frame.width)
-        return
-    nearest_inside = np.clip(eye, -HALF * step, HALF * step)
-    near_world = np.all(np.abs(eye - nearest_inside) <= MARGIN * step)
-    if near_world and np.all((nearest_inside >= low) & (nearest_inside <= high)):
-        first[:], last[:] = 0, frame.width - 1  # the eye's own cell holds the whole picture
-        return
+    if perspective:
+        nearest_inside = np.clip(eye, -HALF * step, HALF * step)
+        near_world = np.all(np.abs(eye - nearest_inside) <= MARGIN * step)
+        if near_world and np.all((nearest_inside >= low) & (nearest_inside <= high)):
+            first[:], last[:] = 0, frame.width - 1  # the eye's own cell holds the whole picture
+            return
+    else:
+        corners = _corners(low, high)
+        ahead = ((corners - eye) @ inverse)[:, 0]
+        if ahead.min() <= 0.0 <= ahead.max():  # rays begin in this cell
+            _add_outline(corners, eye, inverse, False, first, last, frame.width)
+            return
     for axis in range(3):
-        for side, outer in ((0, cell.low[axis] == 0), (1, cell.high[axis] == LATTICE)):
-            beyond = eye[axis] - (HALF if side else -HALF) * step[axis]
-            if outer and (beyond > -MARGIN * step[axis] if side else beyond < MARGIN * step[axis]):
+        for side, outer in ((-1, cell.low[axis] == 0), (1, cell.high[axis] == LATTICE)):
+            if perspective:
+                enters = side * eye[axis] > (HALF - MARGIN) * step[axis]
+            else:
+                enters = side * along[0, axis] < PARALLEL * np.abs(along[0]).max()
+            if outer and enters:
                 face_low, face_high = low.copy(), high.copy()
-                if side:
-                    face_low[axis] = face_high[axis] = HALF * step[axis]
-                else:
-                    face_low[axis] = face_high[axis] = -HALF * step[axis]
-                _add_outline(_face(face_low, face_high, axis), eye, inverse, True, first, last, frame.width)
+                face_low[axis] = face_high[axis] = side * HALF * step[axis]
+                _add_outline(_face(face_low, face_high, axis), eye, inverse, perspective, first, last, frame.width)
 
 
 def _corners(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -38,7 +38,7 @@ from .tracer import Tracer
 from .usage import peak_memory, private_memory
 from .walk import HOST, PORTS
 
-FLUSH = 1024  # packets for which an output is sent although there is work; less is sent when idle
+FLUSH = 256  # packets for which an output is sent although there is work, unless the root says otherwise
 CLOGGED = 64  # waiting messages on a link at which no more surfaces are taken in
 
 # sums of a wave: the counts of node.tables, then these
@@ -75,7 +75,7 @@ class Processor:
         self._received = self._handed_on = 0
         self.refused: Counter[str] = Counter()
         self._cpu_at_frame = 0.0
-        self._gather, self.linger = 0, 0.0
+        self._gather, self.linger, self._flush_at = 0, 0.0, min(FLUSH, batch)
         self._ports = list(links.items())
         self.choked = False
 
@@ -152,7 +152,7 @@ class Processor:
         """Send the outputs that are full enough, all of them when there is nothing else to do."""
         outputs = self.tracer.outputs
         held = outputs.held.tolist()
-        least = min(FLUSH, self.batch) if self.tracer.has_work else 1
+        least = self._flush_at if self.tracer.has_work else 1
         self.choked = False
         for port, link in self._ports:
             if link.waiting:
@@ -225,14 +225,20 @@ class Processor:
             if type(quota) is not int or not 0 <= quota < 2**32:
                 raise ProtocolError(f"a quota came as {quota!r}, wanted a whole number")
             self.tracer.quota = quota
-            gather, linger = order.get("gather", 0), order.get("linger", 0.0)
-            if type(gather) is not int or not isinstance(linger, float) or not 0.0 <= linger <= 1.0:
-                raise ProtocolError(f"gather and linger came as {gather!r}, {linger!r}, wanted packets and seconds")
-            self._gather, self.linger = gather, linger
+            self._set_pace(order)
         elif do == "collect":
             self.tracer.collecting = 0
         elif do not in ("ready", "loaded", "report", "end"):
             raise ProtocolError(f"an order came as {do!r}, wanted one that this node knows")
+
+    def _set_pace(self, order: dict[str, Any]) -> None:
+        """How eagerly to take turns and to send: see `Driver`. Raises ProtocolError."""
+        gather, linger, flush = order.get("gather", 0), order.get("linger", 0.0), order.get("flush", FLUSH)
+        if type(gather) is not int or type(flush) is not int or not isinstance(linger, float) or not 0 <= linger <= 1:
+            raise ProtocolError(
+                f"gather, linger and flush came as {gather!r}, {linger!r}, {flush!r}, wanted packets, seconds, packets"
+            )
+        self._gather, self.linger, self._flush_at = gather, linger, max(1, min(flush, self.batch))
 
     def _maybe_answer(self) -> None:
         """Answer the wave once the children have and this node is ready to."""

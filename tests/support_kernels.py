@@ -13,6 +13,7 @@ from raygrid.node.hierarchy import DEPTH
 from raygrid.node.holdings import build_surfaces
 from raygrid.node.intersect import MISS, cone, in_polygon, plane, sphere, triangle
 from raygrid.node.lattice import Space, make_cell
+from raygrid.node.packets import SIZE, pack_weight, put_ray
 from raygrid.node.surfaces import SurfaceSet
 from raygrid.node.tables import KIND_SHIFT, SLOT_MASK, Frame, Surfaces
 from raygrid.node.traverse import blocked, closest
@@ -123,3 +124,17 @@ def all_samples(frame: Frame, space: Space) -> Samples:
     samples = Samples(np.zeros(n, bool), np.zeros((n, 3), np.int64), np.zeros((n, 3), np.int64), np.zeros((n, 3)))
     _homes(frame, space, samples.enters, samples.points, samples.homes, samples.directions)
     return samples
+
+
+@kernel
+def _put_rays(kind, depth, origins, codes, weight, rows):
+    for k in range(len(origins)):
+        origin = (origins[k, 0], origins[k, 1], origins[k, 2])
+        put_ray(rows, k * SIZE, kind, depth, k, origin, (codes[k, 0], codes[k, 1]), weight)
+
+
+def ray_packets(kind: int, origins: NDArray[np.int64], codes: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Rays of weight 1 and depth 1, uint8 (n, 25); sample numbers as they come."""
+    rows = np.zeros(len(origins) * SIZE, np.uint8)
+    _put_rays(kind, 1, origins, codes, pack_weight(1.0, 1.0, 1.0), rows)
+    return rows.reshape(-1, SIZE)

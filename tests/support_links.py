@@ -17,7 +17,7 @@ from raygrid.node.pair import Pair
 
 LEFT = {"machine": "m", "node": [0, 0, 0], "port": 1}
 RIGHT = {"machine": "m", "node": [1, 0, 0], "port": 0}
-TURNS = 2000  # after so many a talk is taken to hang
+TURNS = 5000  # after so many a talk is taken to hang
 
 
 class Wire:
@@ -86,10 +86,12 @@ class Talk:
 
     def until(self, done: Callable[[], bool], what: str) -> None:
         """Let both ends go on until something holds."""
-        for _ in range(TURNS):
+        for turn in range(TURNS):
             if done():
                 return
-            if not self.turn(0) and not self.turn(1):
+            came = [self.turn(end) for end in (0, 1)]
+            # a channel without room may be one without a peer as yet, so now and then there is a wait all the same
+            if not any(came) and (turn % 20 == 0 or not any(link.choked for link in self.links)):
                 self.wire.wait()
         pytest.fail(f"{what} has not come about: {self.links[0].state}, {self.links[1].state}")
 

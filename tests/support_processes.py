@@ -43,7 +43,7 @@ DESCRIPTORS = ("socket:", "pipe:", "anon_inode:[pidfd]")
 
 
 def wait_readable(source: Any, what: str, timeout: float = TIMEOUT) -> None:
-    """Wait until a descriptor can be read or is at its end; fails the test after `timeout` seconds."""
+    """Wait until a descriptor can be read or is at its end, or fail after `timeout` seconds."""
     poller = select.poll()
     poller.register(source, select.POLLIN)
     assert poller.poll(timeout * 1000), f"{what} did not come within {timeout} seconds"
@@ -205,6 +205,12 @@ def warm_untidily(report: Callable[[int, int, str], None]) -> None:
     os.pipe()
 
 
+def warm_at_length(report: Callable[[int, int, str], None]) -> None:
+    """Report far more than a socket holds."""
+    for done in range(3000):
+        report(done, 3000, "x" * 1000)
+
+
 def warm_badly(report: Callable[[int, int, str], None]) -> None:
     """Fail."""
     raise RuntimeError("no compiler")
@@ -307,7 +313,8 @@ class Leftovers:
 
     def find(self) -> list[str]:
         """A line for each thing left behind. Ends the processes and removes the directories."""
-        gc.collect()  # what only waits for the collector is not left behind
+        if self._watched_descriptors().items() - self._descriptors:
+            gc.collect()  # what only waits for the collector is not left behind
         _, processes = psutil.wait_procs(self.processes(), timeout=self._grace)
         lines = [self._describe(process) for process in processes]
         for process in processes:
@@ -317,10 +324,8 @@ class Leftovers:
             if directory not in self._directories and self._is_ours(directory):
                 lines.append(f"directory {directory}")
                 shutil.rmtree(directory, ignore_errors=True)
-        for number, what in self._watched_descriptors().items():
-            if (number, what) not in self._descriptors:
-                lines.append(f"descriptor {number} {what}")
-        return lines
+        new = self._watched_descriptors().items() - self._descriptors
+        return lines + [f"descriptor {number} {what}" for number, what in sorted(new)]
 
     def processes(self) -> list[psutil.Process]:
         """The processes that have come from this one and are still there, zombies too."""
@@ -354,12 +359,8 @@ class Leftovers:
             return f"process {process.pid} ({error})"
 
     def _socket_directories(self) -> list[str]:
-        found = []
-        for base in {self._runtime, *places.bases()}:
-            if os.path.isdir(base) and os.access(base, os.R_OK):
-                names = (name for name in os.listdir(base) if name.startswith(places.PREFIX))
-                found += [os.path.join(base, name) for name in names]
-        return found
+        bases = {self._runtime, *places.bases()}
+        return [str(path) for base in bases for path in Path(base).glob(f"{places.PREFIX}*")]
 
     def _is_ours(self, directory: str) -> bool:
         """Not if it belongs to another living front end, such as that of a test run beside this one."""

@@ -9,7 +9,7 @@ from raygrid.node.births import DONE, bear_primaries, new_cursor
 from raygrid.node.lattice import HALF, Space, coordinate, make_cell
 from raygrid.node.pixels import Pixels, make_pixels, slot
 from raygrid.node.tables import BORN, COUNTS, Frame
-from support_cameras import Size, bad_places, random_cameras
+from support_cameras import bad_places, random_cameras
 from support_frames import make_frame, perspective
 from support_kernels import Samples, all_samples
 from support_packets import rows

@@ -1,0 +1,141 @@
+"""A scene as a file for POV-Ray 3.7 that renders the same picture by the same rules: `raygrid export`.
+
+What is the same: camera and pixel middles, lights, shadows of everything (transparent surfaces too), Whitted's shading
+without ambient light, the greatest depth of the ray tree, linear light. What POV-Ray cannot do, or does in another
+way, is said in the comment at the head of the file. Surfaces and materials are written by `export_surfaces`.
+
+POV-Ray keeps secondary rays off their surfaces by fixed lengths of about 1/1000, so the numbers are multiplied by a
+power of ten that makes scenes of any size large against that.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from raygrid.host.cameras import Camera, Span
+from raygrid.host.export_surfaces import MaterialWriter, surface_lines, vector
+from raygrid.host.job import DEFAULT_DEPTH, DEFAULT_SIZE
+from raygrid.host.outputs import check_different, check_path, write_whole
+from raygrid.host.scene import Scene
+from raygrid.node.errors import SceneError
+from raygrid.node.frame import DIRECTIONAL
+from raygrid.node.surfaces import F64
+
+REACH = 1e3  # the scene's box and the eye measure this to ten times this in POV-Ray's units
+NEAR = 1e-5  # an inverse square is POV-Ray's 2 / (1 + (r / d)^2) with d this part of REACH
+FAR = 1e3  # a directional light stands this many times the scene's measure away
+
+
+def export_pov(scene: Scene, path: str | Path, depth: int | None = None, highlights: bool | None = None) -> None:
+    """Write a scene as a POV-Ray 3.7 file; it appears whole or not at all.
+
+    depth       greatest depth of the ray tree; None: what the scene's file asks for, else 5
+    highlights  whether materials' highlights are used; None: as the scene's file has it
+    Raises SceneError for a scene without surfaces, OutputError if the file cannot be written.
+    """
+    check_path(path)
+    check_different(scene.name, [str(path)])
+    if len(scene.surfaces) == 0:
+        raise SceneError(f"{scene.name}: the scene has no surfaces")
+    lines = pov_lines(scene, depth, highlights)
+    write_whole(path, lambda file: file.writelines(line.encode() + b"\n" for line in lines))
+
+
+def pov_lines(scene: Scene, depth: int | None = None, highlights: bool | None = None) -> Iterator[str]:
+    """The lines of the file, as `export_pov` writes them."""
+    scale = _scale(scene)
+    shines = scene.highlights if highlights is None else highlights
+    materials = MaterialWriter(scene.materials, shines)
+    width, height = scene.size or DEFAULT_SIZE
+    yield f"// {Path(scene.name).name}, exported by raygrid for POV-Ray 3.7. To get raygrid's linear picture:"
+    yield f"//   povray +I<this file> +W{width} +H{height} -A +FN16 File_Gamma=1.0"
+    yield f"// One unit of the scene is {scale:g} units here. The camera is right for any +W and +H."
+    for difference in _differences(scene, materials):
+        yield f"// Differs: {difference}"
+    yield "#version 3.7;"
+    yield (
+        "global_settings { assumed_gamma 1.0"
+        f" max_trace_level {depth or scene.depth or DEFAULT_DEPTH} adc_bailout {scene.min_weight or 0.0:g} }}"
+    )
+    yield "#default { finish { ambient 0 diffuse 1 } }"
+    yield from _background(scene)
+    yield from _camera(scene.camera, scale)
+    yield from _lights(scene, scale)
+    yield from materials.lines(scene.surfaces)
+    yield from surface_lines(scene.surfaces, materials, scale)
+
+
+def _measure(scene: Scene) -> float:
+    """The diagonal of the box of all surfaces and the eye."""
+    points = np.vstack((scene.surfaces.bounds(), np.array(scene.camera.eye)))
+    return float(np.linalg.norm(np.ptp(points, axis=0))) or 1.0
+
+
+def _scale(scene: Scene) -> float:
+    """The power of ten that brings the scene's measure to between REACH and ten times that."""
+    return float(10.0 ** math.ceil(math.log10(REACH / _measure(scene))))
+
+
+def _differences(scene: Scene, materials: MaterialWriter) -> Iterator[str]:
+    """One line each on what POV-Ray does in another way for this scene."""
+    if (scene.samples or 1) > 1:
+        yield f"raygrid takes {scene.samples} samples a pixel, one is taken here; +A, or +AM1 +A0 +R, takes more."
+    if np.any(scene.lights["spot"] == 1):
+        yield "between their two cones spot lights fade by s^2 (3 - 2 s), in raygrid by s^2."
+    if scene.min_weight:
+        yield "POV-Ray weighs faint rays in its own way before it drops them (adc_bailout)."
+    yield from materials.differences(scene.surfaces)
+
+
+def _background(scene: Scene) -> Iterator[str]:
+    """The background, and the discs of lights that rays see in it."""
+    yield f"background {{ rgb {vector(scene.background)} }}"
+    discs = [light for light in scene.lights if light["kind"] == DIRECTIONAL and light["cos_disc"] <= 1.0]
+    if not discs:
+        return
+    yield f"sky_sphere {{ pigment {{ rgb {vector(scene.background)} }}"
+    for light in discs:
+        x, y, z = (f"({value:.12g})" for value in light["place"])
+        yield f"  pigment {{ function {{ select(x*{x} + y*{y} + z*{z} - ({light['cos_disc']:.12g}), 0, 1, 1) }}"
+        yield f"    color_map {{ [0.5 rgbt <0,0,0,1>] [0.5 rgb {vector(light['disc'])}] }} }}"
+    yield "}"
+
+
+def _camera(camera: Camera, scale: float) -> Iterator[str]:
+    """Pixel (i, j) looks along forward + pitch (i - (w - 1) / 2) right + pitch ((h - 1) / 2 - j) up, as in raygrid."""
+    spans = {
+        # One row has no first and last: the span is then measured along the row.
+        Span.MIDDLES: "max((image_height > 1 ? image_height : image_width) - 1, 1)",
+        Span.EDGES: "image_height",
+        Span.NARROW: "min(image_width, image_height)",
+    }
+    size = scale if camera.orthographic else 1.0
+    yield f"#declare Pitch = {2.0 * camera.half * size:.12g} / {spans[camera.span]};"
+    yield f"camera {{ {'orthographic' if camera.orthographic else 'perspective'}"
+    yield f"  location {vector(camera.eye, scale)} direction {vector(camera.forward)}"
+    yield f"  right Pitch * image_width * {vector(camera.right)} up Pitch * image_height * {vector(camera.up)}"
+    yield "}"
+
+
+def _lights(scene: Scene, scale: float) -> Iterator[str]:
+    middle: F64 = scene.surfaces.bounds().mean(axis=0)
+    reach = _measure(scene)
+    near = NEAR * reach
+    for light in scene.lights:
+        if light["kind"] == DIRECTIONAL:
+            place = middle + FAR * reach * light["place"]
+            words = f" parallel point_at {vector(middle, scale)}"
+            yield f"light_source {{ {vector(place, scale)}, rgb {vector(light['intensity'])}{words} }}"
+            continue
+        intensity, words = light["intensity"], ""
+        if light["falloff"]:
+            intensity = intensity / (2.0 * near * near)
+            words += f" fade_distance {near * scale:.12g} fade_power 2"
+        if light["spot"]:
+            inner, outer = (math.degrees(math.acos(light[name])) for name in ("cos_inner", "cos_outer"))
+            aim = light["place"] + reach * light["axis"]
+            words += f" spotlight point_at {vector(aim, scale)} radius {inner:.12g} falloff {outer:.12g} tightness 0"
+        yield f"light_source {{ {vector(light['place'], scale)}, rgb {vector(intensity)}{words} }}"
