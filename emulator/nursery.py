@@ -169,6 +169,9 @@ class ForkServer:
 
     def _turn(self, timeout: float | None) -> None:
         """Wait for a command, for the end of a node or of the front end, and attend to it."""
+        if not self.control.closed:
+            writing = selectors.EVENT_WRITE if self.control.unsent else 0
+            self._selector.modify(self.control.socket, selectors.EVENT_READ | writing)
         for key, ready in self._selector.select(timeout):
             if key.fd == self._wakeup:
                 with suppress(BlockingIOError):
@@ -178,9 +181,6 @@ class ForkServer:
             else:
                 self._attend(ready)
         self._reap()
-        if not self.control.closed:
-            writing = selectors.EVENT_WRITE if self.control.unsent else 0
-            self._selector.modify(self.control.socket, selectors.EVENT_READ | writing)
 
     def _attend(self, ready: int) -> None:
         if ready & selectors.EVENT_WRITE:

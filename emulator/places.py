@@ -226,6 +226,7 @@ def _make(base: str) -> str:
     try:
         os.chmod(path, 0o700)  # a strange umask may have taken our own rights away
         with open(os.path.join(path, PID_FILE), "x", encoding="ascii") as file:
+            os.chmod(file.fileno(), 0o600)
             file.write(f"{mark}\n")
     except BaseException:
         remove(path)

@@ -47,7 +47,7 @@ def _balanced(cells: int, extents: NDArray[np.float64], step: float) -> list[int
     total = np.concatenate(([0.0], np.cumsum(measure)))
     quantiles = np.interp(np.arange(1, cells) / cells * total[-1], total, np.arange(SLICES + 1))
     planes = np.concatenate(([0], np.round(quantiles * (LATTICE / SLICES)).astype(np.int64), [LATTICE]))
-    return _apart(planes).tolist()  # type: ignore[no-any-return]
+    return [int(plane) for plane in _apart(planes)]
 
 
 def _spread(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -62,7 +62,7 @@ def _spread(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.f
         np.add.at(slope, slice_after, sign * density)
     # value at border b: all ramps begun before it
     values = np.cumsum(ramp) + np.concatenate(([0.0], np.cumsum(np.cumsum(slope))[:-1]))
-    return np.maximum(np.diff(values[: SLICES + 1]), 0.0)  # type: ignore[no-any-return]
+    return np.maximum(np.diff(values[: SLICES + 1]), 0.0)
 
 
 def _apart(planes: NDArray[np.int64]) -> NDArray[np.int64]:

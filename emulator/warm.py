@@ -80,7 +80,8 @@ def _one_of_each() -> SurfaceSet:
 
 
 def _frame() -> Frame:
-    camera = np.array([[0.0, 0.0, 2.0], [0, 0, 0], [0, 0, 0], [-0.2, 0.2, -1], [0.05, 0, 0], [0, -0.05, 0]])
+    rows = ((0.0, 0.0, 2.0), (0.0,) * 3, (0.0,) * 3, (-0.2, 0.2, -1.0), (0.05, 0.0, 0.0), (0.0, -0.05, 0.0))
+    camera = np.array(rows)
     materials, lights = np.full((1, MATERIAL_COLUMNS), 0.5), np.zeros((2, LIGHT_COLUMNS))
-    lights[:, :7] = [[0, 0, 0, 1, 1, 1, 1], [1, 0.3, 0.3, 0.6, 1, 1, 1]]
+    lights[0, :7], lights[1, :7] = (0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0), (1.0, 0.3, 0.3, 0.6, 1.0, 1.0, 1.0)
     return Frame(camera, materials, lights, 2, (0.1, 0.1, 0.1), 8, 8, 1, 3, 0.0, False)

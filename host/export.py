@@ -27,6 +27,7 @@ from raygrid.node.surfaces import F64
 REACH = 1e3  # the scene's box and the eye measure this to ten times this in POV-Ray's units
 NEAR = 1e-5  # an inverse square is POV-Ray's 2 / (1 + (r / d)^2) with d this part of REACH
 FAR = 1e3  # a directional light stands this many times the scene's measure away
+SHADE = 0.01  # radius of the shade of a spot light, POV-Ray's units; it must be above 1/1000
 
 
 def export_pov(scene: Scene, path: str | Path, depth: int | None = None, highlights: bool | None = None) -> None:
@@ -82,9 +83,7 @@ def _scale(scene: Scene) -> float:
 def _differences(scene: Scene, materials: MaterialWriter) -> Iterator[str]:
     """One line each on what POV-Ray does in another way for this scene."""
     if (scene.samples or 1) > 1:
-        yield f"raygrid takes {scene.samples} samples a pixel, one is taken here; +A, or +AM1 +A0 +R, takes more."
-    if np.any(scene.lights["spot"] == 1):
-        yield "between their two cones spot lights fade by s^2 (3 - 2 s), in raygrid by s^2."
+        yield f"raygrid takes {scene.samples} samples a pixel, POV-Ray one unless told otherwise (+A)."
     if scene.min_weight:
         yield "POV-Ray weighs faint rays in its own way before it drops them (adc_bailout)."
     yield from materials.differences(scene.surfaces)
@@ -99,8 +98,8 @@ def _background(scene: Scene) -> Iterator[str]:
     yield f"sky_sphere {{ pigment {{ rgb {vector(scene.background)} }}"
     for light in discs:
         x, y, z = (f"({value:.12g})" for value in light["place"])
-        yield f"  pigment {{ function {{ select(x*{x} + y*{y} + z*{z} - ({light['cos_disc']:.12g}), 0, 1, 1) }}"
-        yield f"    color_map {{ [0.5 rgbt <0,0,0,1>] [0.5 rgb {vector(light['disc'])}] }} }}"
+        yield f"  pigment {{ function {{ select(x*{x} + y*{y} + z*{z} - ({light['cos_disc']:.12g}), 0, 0.5, 0.5) }}"
+        yield f"    color_map {{ [0.25 rgbt <0,0,0,1>] [0.25 rgb {vector(light['disc'])}] }} }}"
     yield "}"
 
 
@@ -124,18 +123,32 @@ def _lights(scene: Scene, scale: float) -> Iterator[str]:
     middle: F64 = scene.surfaces.bounds().mean(axis=0)
     reach = _measure(scene)
     near = NEAR * reach
-    for light in scene.lights:
-        if light["kind"] == DIRECTIONAL:
-            place = middle + FAR * reach * light["place"]
-            words = f" parallel point_at {vector(middle, scale)}"
-            yield f"light_source {{ {vector(place, scale)}, rgb {vector(light['intensity'])}{words} }}"
-            continue
+    for number, light in enumerate(scene.lights):
         intensity, words = light["intensity"], ""
+        place: F64 = light["place"] * scale
+        if light["kind"] == DIRECTIONAL:
+            place = (middle + FAR * reach * light["place"]) * scale
+            words = f" parallel point_at {vector(middle, scale)}"
         if light["falloff"]:
             intensity = intensity / (2.0 * near * near)
             words += f" fade_distance {near * scale:.12g} fade_power 2"
         if light["spot"]:
-            inner, outer = (math.degrees(math.acos(light[name])) for name in ("cos_inner", "cos_outer"))
-            aim = light["place"] + reach * light["axis"]
-            words += f" spotlight point_at {vector(aim, scale)} radius {inner:.12g} falloff {outer:.12g} tightness 0"
-        yield f"light_source {{ {vector(light['place'], scale)}, rgb {vector(intensity)}{words} }}"
+            # Lights at one place must not stand in each other's shades.
+            earlier = np.count_nonzero(np.all(scene.lights["place"][:number] == light["place"], axis=1))
+            place = place + np.array((4.0 * SHADE * earlier, 0.0, 0.0))
+            yield from _shade(light, place)
+        yield f"light_source {{ {vector(place)}, rgb {vector(intensity)}{words} }}"
+
+
+def _shade(light: np.void, place: F64) -> Iterator[str]:
+    """A tiny ball round a spot light that lets through s^2, s rising from 0 to 1 between the cosines of its cones.
+
+    POV-Ray's own spot lights fade by s^2 (3 - 2 s).
+    """
+    along = " + ".join(f"{axis}*({value:.12g})" for axis, value in zip("xyz", light["axis"], strict=True))
+    inner, outer = float(light["cos_inner"]), float(light["cos_outer"])
+    fade = f"(({along}) / sqrt(x*x + y*y + z*z) - ({outer:.12g})) / {max(inner - outer, 1e-9):.12g}"
+    # Half of it: POV-Ray takes a pattern's value 1 for 0.
+    yield f"sphere {{ 0, {SHADE} no_image no_reflection finish {{ diffuse 0 }}"
+    yield f"  pigment {{ function {{ 0.5 * pow(min(max({fade}, 0), 1), 2) }}"
+    yield f"    color_map {{ [0 rgb 0] [0.5 rgb 0 transmit 1] }} }} translate {vector(place)} }}"

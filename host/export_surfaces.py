@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from raygrid.node.surfaces import F64, Batch, Kind, SurfaceSet
 
 MOST = 0.999  # transmission above which the diffuse part, given by what is left of 1, would lose its precision
+MOST_NESTED = 10_000  # transparent spheres that are looked at for which is in which
 CHUNK = 50_000  # rows that are turned into text at a time
 
 
@@ -37,8 +38,8 @@ class MaterialWriter:
         if self._highlights and np.any(np.ptp(rows["highlight"], axis=1) > 0.0):
             yield "highlights are grey; those of coloured weight have the mean of the three."
         if rows["transmission"].any():
-            yield "which side of a transparent surface is the inside follows from the bodies that a ray is in, not from"
-            yield "  the side it comes from: overlapping or nested bodies, and single transparent sheets, bend otherwise."
+            yield "a ray enters or leaves a transparent body by what it is in already, not by the side it comes from:"
+            yield "  bodies that overlap, single sheets, and what is nested but no sphere in a sphere, bend otherwise."
 
     def lines(self, surfaces: SurfaceSet) -> Iterator[str]:
         """The declarations of the textures that are used."""
@@ -47,9 +48,9 @@ class MaterialWriter:
         for number in self._used(surfaces).tolist():
             yield f"#declare M{number} = {self._texture(self._materials[number])}"
 
-    def interior(self, number: int) -> str:
-        """The interior of a transparent material."""
-        return f"interior {{ ior {self._materials[number]['ior']:.12g} }}"
+    def iors(self, numbers: NDArray[np.integer]) -> F64:
+        """The index of refraction of each of the materials."""
+        return np.asarray(self._materials["ior"][numbers], np.float64)
 
     def _used(self, surfaces: SurfaceSet) -> NDArray[np.uint16]:
         return np.unique(np.concatenate([batch.materials for batch in surfaces]))
@@ -77,20 +78,34 @@ def surface_lines(surfaces: SurfaceSet, materials: MaterialWriter, scale: float)
     for batch in surfaces:
         yield from _some(batch, ~materials.transparent[batch.materials], scale, "texture {{ M{0} }}", "")
     for number in np.flatnonzero(materials.transparent).tolist():
-        interior = materials.interior(number)
-        chosen = [(batch, batch.materials == number) for batch in surfaces]
-        shared: list[str] = []
-        for batch, rows in chosen:
-            if batch.kind == Kind.SPHERE:
-                yield from _some(batch, rows, scale, "texture {{ M{0} }}", f"{interior} no_shadow")
-            else:
-                shared += _some(batch, rows, scale, "texture {{ M{0} }}", "no_shadow")
+        shared = [
+            line
+            for batch in surfaces
+            if batch.kind != Kind.SPHERE
+            for line in _some(batch, batch.materials == number, scale, "texture {{ M{0} }}", "no_shadow")
+        ]
         if shared:
             yield "union {"
             yield from shared
-            yield f"  {interior} split_union on }}"
-        for batch, rows in chosen:
-            yield from _some(batch, rows, scale, "texture {{ Black }}", "no_image no_reflection")
+            yield f"  interior {{ ior {materials.iors(np.array([number]))[0]:.12g} }} split_union on }}"
+    for batch in surfaces:
+        clear = materials.transparent[batch.materials]
+        if batch.kind == Kind.SPHERE and clear.any():
+            balls = batch.select(clear)
+            for k, ior in enumerate(_nested(balls.data, materials.iors(balls.materials)).tolist()):
+                words = f"interior {{ ior {ior:.12g} }} no_shadow"
+                yield from _spheres(balls.select(np.array([k])), scale, "texture {{ M{0} }}", words)
+        yield from _some(batch, clear, scale, "texture {{ Black }}", "no_image no_reflection")
+
+
+def _nested(balls: F64, iors: F64) -> F64:
+    """Indices of refraction of spheres (n, 4) as POV-Ray has them: against vacuum, not against the sphere around."""
+    total = iors.copy()
+    if len(balls) <= MOST_NESTED:
+        for ball, ior in zip(balls, iors, strict=True):
+            apart = np.linalg.norm(balls[:, :3] - ball[:3], axis=1)
+            total[(apart + np.abs(balls[:, 3]) <= abs(ball[3])) & np.any(balls != ball, axis=1)] *= ior
+    return total
 
 
 def _some(batch: Batch, rows: NDArray[np.bool_], scale: float, texture: str, words: str) -> Iterator[str]:

@@ -47,7 +47,7 @@ class Space(NamedTuple):
 class Cell(NamedTuple):
     """One subvolume: its place in the array, its bounds on the lattice, and the same bounds as numbers."""
 
-    index: tuple[int, int, int]
+    index: tuple[int, int, int]  # type: ignore[assignment]  # hides tuple.index, which nothing needs
     low: tuple[int, int, int]
     high: tuple[int, int, int]
     low_at: tuple[float, float, float]

@@ -156,9 +156,9 @@ def pack_weight(red, green, blue):
     if exponent < 127 and largest * WEIGHT_INVERSE_UNIT[exponent] + 0.5 >= 2048.0:
         exponent += 1
     unit = WEIGHT_INVERSE_UNIT[exponent]
-    r = min(np.int64(min(red * unit, 4096.0) + 0.5), 2047)
-    g = min(np.int64(min(green * unit, 4096.0) + 0.5), 2047)
-    b = min(np.int64(min(blue * unit, 4096.0) + 0.5), 2047)
+    r = np.int64(min(red * unit + 0.5, 2047.0))
+    g = np.int64(min(green * unit + 0.5, 2047.0))
+    b = np.int64(min(blue * unit + 0.5, 2047.0))
     return r | (g << 11) | (b << 22) | (np.int64(exponent) << 33)
 
 

@@ -43,7 +43,7 @@ class Pair:
 
     def receive(self) -> bytes | None:
         """The next message, or None. Raises ProtocolError for a message of several parts."""
-        if not self.socket.getsockopt(EVENTS) & POLLIN:  # cheaper than the exception that says so
+        if not int(self.socket.getsockopt(EVENTS)) & POLLIN:  # cheaper than the exception that says so
             return None
         message: bytes = self.socket.recv(NOBLOCK)
         if self.socket.getsockopt(RCVMORE):

@@ -90,8 +90,8 @@ def _outline(frame: Frame, space: Space, cell: Cell, first: Line, last: Line) ->
     if abs(np.linalg.det(solver)) < 1e-30 or not (perspective or not along[1:].any()):
         first[:], last[:] = 0, frame.width - 1  # a one-pixel axis, or neither kind of camera: no outline
         return
-    inverse = np.linalg.inv(solver)
-    step = np.array(space.step)
+    inverse: NDArray[np.float64] = np.linalg.inv(solver).astype(np.float64)
+    step = np.array(space.step, np.float64)
     low, high = np.array(cell.low_at) - MARGIN * step, np.array(cell.high_at) + MARGIN * step
     if perspective:
         nearest_inside = np.clip(eye, -HALF * step, HALF * step)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ F64 = NDArray[np.float64]
 Shape = tuple[int, int, int]
 
 SCENES = Path(__file__).parents[1] / "scenes"
-SHARED = Path(__file__).parents[2] / "shared" / "scenes"
+SHARED = Path(os.environ.get("RAYGRID_SHARED", Path(__file__).parents[2] / "shared")) / "scenes"
 ONE, EIGHT = (1, 1, 1), (2, 2, 2)
 NOTICEABLE = 2.0 / 255.0  # a difference in linear radiance that counts as one
 

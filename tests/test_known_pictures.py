@@ -14,7 +14,6 @@ from support_render import EIGHT, ONE, rendered
 from support_stage import UP, Stage, edge, line_camera, places
 
 DIRECT, BOUNCED = 3e-5, 1e-3
-WHITE = 1.0
 
 pytestmark = pytest.mark.parametrize("shape", [ONE, EIGHT], ids=["1x1x1", "2x2x2"])
 
@@ -216,10 +215,10 @@ def test_a_glass_slab_moves_what_is_behind_it_aside(shape):
     assert abs(edges[1] - edges[0] - aside) <= 2.0 * pitch
 
 
-def prism(ior, tint):
+def prism(ior, tint, light):
     """A right-angled prism seen straight through one leg: rays meet the long side at 45 degrees. A wall with the
     colour (0.2, 0.4, 0.8) faces the other leg; behind the long side there is nothing but the background."""
-    stage = Stage(directional_light((0, 0, 1), 1.0))
+    stage = Stage(light)
     glass = stage.material(transmission=tint, ior=ior)
     wall = stage.material(diffuse=[0.2, 0.4, 0.8])
     stage.polygon([(0, -1, 0), (0, 1, 0), (0, 1, -1), (0, -1, -1)][::-1], glass)  # the leg x = 0, front to -x
@@ -234,8 +233,7 @@ def test_total_reflection_turns_a_ray_without_loss(shape):
 
     The light comes from the side of the wall, for the prism would keep it off.
     """
-    stage = prism(1.5, [0.9, 0.8, 0.7])
-    stage._lights = directional_light((0, 1, 0.05), 1.0)
+    stage = prism(1.5, [0.9, 0.8, 0.7], directional_light((0, 1, 0.05), 1.0))
     camera = line_camera((-0.5, 0, -0.5), (1, 0, 0), UP, 0.002)
     picture = rendered(stage.scene(camera, (9.0, 9.0, 9.0)), shape, size=(101, 1))
     cosine = 0.05 / math.hypot(1.0, 0.05)
@@ -247,7 +245,7 @@ def test_total_reflection_turns_a_ray_without_loss(shape):
 
 def test_below_the_limit_of_total_reflection_a_ray_passes(shape):
     """At 45 degrees glass of index 1.3 (limit 50.3) lets the ray out, to the background."""
-    stage = prism(1.3, 0.9)
+    stage = prism(1.3, 0.9, directional_light((0, 1, 0.05), 1.0))
     camera = line_camera((-0.5, 0, -0.5), (1, 0, 0), UP, 0.002)
     picture = rendered(stage.scene(camera, (0.5, 0.6, 0.7)), shape, size=(101, 1))
     assert np.abs(picture.linear() - 0.81 * np.array([0.5, 0.6, 0.7])).max() < BOUNCED
@@ -255,18 +253,15 @@ def test_below_the_limit_of_total_reflection_a_ray_passes(shape):
 
 
 def test_a_glass_ball_turns_the_world_upside_down(shape):
-    """Rays parallel to the axis of a ball cross behind it; at the height y the ray turns by 2 (a - b) with
-    sin a = y and sin b = y / n."""
-    ior = 1.5
-    stage = Stage(directional_light((0, 0, 1), 1.0))
-    stage.sphere((0, 0, 0), 1.0, stage.material(transmission=1.0, ior=ior))
+    """Rays parallel to the axis of a ball of index 1.5 cross at most 1.5 radii from its middle."""
+    stage = Stage(directional_light((-1, 3, 0), 1.0))
+    stage.sphere((0, 0, 0), 1.0, stage.material(transmission=1.0, ior=1.5))
     for low, high, grey in ((-9.0, 0.0, 0.2), (0.0, 9.0, 0.9)):  # a wall at x = 6: dark below z = 0, bright above
         corners = [(6, -9, low), (6, -9, high), (6, 9, high), (6, 9, low)]
         stage.polygon(corners, stage.material(diffuse=grey))
-    stage._lights = directional_light((-1, 3, 0), 1.0)
-    camera = line_camera((-2, 0, 0), (1, 0, 0), (0, 1, 0), 0.01)  # right is -z
+    camera = line_camera((-2, 0, 0), (1, 0, 0), (0, 1, 0), 0.01)  # right is +z
     row = row_of(stage.scene(camera), shape, 190)
-    z = -places(190, 0.01)
+    z = places(190, 0.01)
     cosine = 1.0 / math.sqrt(10.0)
     clear = (np.abs(z) > 0.02) & (np.abs(z) < 0.93)  # at the rim the ray is turned so far that it misses the wall
     expected = np.where(z > 0.0, 0.2, 0.9) * cosine
