@@ -139,7 +139,6 @@ class ForkServer:
         self.children: dict[int, Index] = {}
         self._run = run
         self._directory = directory
-        self._ending = self._orphaned = False
         self._life, self._life_writer = os.pipe()
         self._wakeup, self._wakeup_writer = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         self._selector = selectors.DefaultSelector()
@@ -147,6 +146,7 @@ class ForkServer:
         self._selector.register(control.socket, selectors.EVENT_READ)
         # A fork of the front end that outlives it keeps the socket open, so the process itself is watched as well.
         self._front_end = open_pidfd(front_end)
+        self._ending = self._orphaned = self._front_end is None and not os.path.exists(f"/proc/{front_end}")
         if self._front_end is not None:
             self._selector.register(self._front_end, selectors.EVENT_READ)
 

@@ -177,6 +177,22 @@ def info(scene: str, as_json: bool) -> None:
     click.echo(json.dumps(facts, indent=2) if as_json else "\n".join(_lines(facts)))
 
 
+@cli.command()
+@click.argument("scene", type=click.Path())
+@click.option("--depth", type=Number(1, 31), metavar="N", help="As for render.  [default: the scene's, else 5]")
+@click.option("--highlights/--no-highlights", default=None, help="As for render.  [default: off for NFF, else on]")
+@click.option("-o", "--output", type=click.Path(), metavar="FILE", help="[default: the scene's name with .pov, here]")
+@_debug_option
+def export(scene: str, depth: int | None, highlights: bool | None, output: str | None) -> None:
+    """Write a scene file for POV-Ray 3.7.
+
+    POV-Ray renders the same picture from it, by the same rules; the head of the file says what differs.
+    """
+    from raygrid.host.export import export_file
+
+    click.echo(export_file(scene, output, depth, highlights))
+
+
 def _lines(facts: dict[str, Any], indent: str = "") -> Iterator[str]:
     """Facts as indented text."""
     for name, value in facts.items():

@@ -18,6 +18,7 @@ import numpy as np
 from raygrid.host.cameras import Camera, Span
 from raygrid.host.export_surfaces import MaterialWriter, surface_lines, vector
 from raygrid.host.job import DEFAULT_DEPTH, DEFAULT_SIZE
+from raygrid.host.load import load_scene
 from raygrid.host.outputs import check_different, check_path, write_whole
 from raygrid.host.scene import Scene
 from raygrid.node.errors import SceneError
@@ -30,6 +31,20 @@ FAR = 1e3  # a directional light stands this many times the scene's measure away
 SHADE = 0.01  # radius of the shade of a spot light, POV-Ray's units; it must be above 1/1000
 
 
+def export_file(
+    scene: str | Path, output: str | Path | None = None, depth: int | None = None, highlights: bool | None = None
+) -> str:
+    """Read a scene and write it by `export_pov`; returns the path written, the scene's name with .pov by default.
+
+    Raises SceneError and OutputError.
+    """
+    path = Path(scene).stem + ".pov" if output is None else str(output)
+    check_path(path)
+    check_different(str(scene), [path])
+    export_pov(load_scene(scene), path, depth, highlights)
+    return path
+
+
 def export_pov(scene: Scene, path: str | Path, depth: int | None = None, highlights: bool | None = None) -> None:
     """Write a scene as a POV-Ray 3.7 file; it appears whole or not at all.
 
@@ -37,8 +52,6 @@ def export_pov(scene: Scene, path: str | Path, depth: int | None = None, highlig
     highlights  whether materials' highlights are used; None: as the scene's file has it
     Raises SceneError for a scene without surfaces, OutputError if the file cannot be written.
     """
-    check_path(path)
-    check_different(scene.name, [str(path)])
     if len(scene.surfaces) == 0:
         raise SceneError(f"{scene.name}: the scene has no surfaces")
     lines = pov_lines(scene, depth, highlights)
@@ -112,10 +125,12 @@ def _camera(camera: Camera, scale: float) -> Iterator[str]:
         Span.NARROW: "min(image_width, image_height)",
     }
     size = scale if camera.orthographic else 1.0
+    # All digits, or POV-Ray finds that they are not perpendicular.
+    forward, right, up = (vector(axis, digits=17) for axis in (camera.forward, camera.right, camera.up))
     yield f"#declare Pitch = {2.0 * camera.half * size:.12g} / {spans[camera.span]};"
     yield f"camera {{ {'orthographic' if camera.orthographic else 'perspective'}"
-    yield f"  location {vector(camera.eye, scale)} direction {vector(camera.forward)}"
-    yield f"  right Pitch * image_width * {vector(camera.right)} up Pitch * image_height * {vector(camera.up)}"
+    yield f"  location {vector(camera.eye, scale)} direction {forward}"
+    yield f"  right Pitch * image_width * {right} up Pitch * image_height * {up}"
     yield "}"
 
 

@@ -16,13 +16,14 @@ from raygrid.node.surfaces import F64, Batch, Kind, SurfaceSet
 
 MOST = 0.999  # transmission above which the diffuse part, given by what is left of 1, would lose its precision
 MOST_NESTED = 10_000  # transparent spheres that are looked at for which is in which
+SKIN = "texture {{ M{0} }}"
 CHUNK = 50_000  # rows that are turned into text at a time
 
 
-def vector(values: Sequence[float] | NDArray[np.floating], scale: float = 1.0) -> str:
-    """`<x,y,z>`, each number times `scale`, to 12 digits."""
+def vector(values: Sequence[float] | NDArray[np.floating], scale: float = 1.0, digits: int = 12) -> str:
+    """`<x,y,z>`, each number times `scale`."""
     x, y, z = (float(value) * scale for value in values)
-    return f"<{x:.12g},{y:.12g},{z:.12g}>"
+    return f"<{x:.{digits}g},{y:.{digits}g},{z:.{digits}g}>"
 
 
 class MaterialWriter:
@@ -30,14 +31,17 @@ class MaterialWriter:
 
     def __init__(self, materials: NDArray[np.void], highlights: bool) -> None:
         self._materials, self._highlights = materials, highlights
-        self.transparent: NDArray[np.bool_] = materials["transmission"].any(axis=1)
+        self.transparent: NDArray[np.bool_] = np.any(materials["transmission"] > 0.0, axis=1)
 
     def differences(self, surfaces: SurfaceSet) -> Iterator[str]:
         """What cannot be said in POV-Ray's words of the materials that are used."""
         rows = self._materials[self._used(surfaces)]
+        mirrors, clear = rows["specular"].any(axis=1), rows["transmission"].any(axis=1)
         if self._highlights and np.any(np.ptp(rows["highlight"], axis=1) > 0.0):
             yield "highlights are grey; those of coloured weight have the mean of the three."
-        if rows["transmission"].any():
+        if np.any(mirrors & clear):
+            yield "at total internal reflection, which takes the refracted ray's place, POV-Ray drops the mirror's ray."
+        if clear.any():
             yield "a ray enters or leaves a transparent body by what it is in already, not by the side it comes from:"
             yield "  bodies that overlap, single sheets, and what is nested but no sphere in a sphere, bend otherwise."
 
@@ -76,26 +80,30 @@ class MaterialWriter:
 def surface_lines(surfaces: SurfaceSet, materials: MaterialWriter, scale: float) -> Iterator[str]:
     """All surfaces: the opaque ones, then material by material the transparent ones and their opaque twins."""
     for batch in surfaces:
-        yield from _some(batch, ~materials.transparent[batch.materials], scale, "texture {{ M{0} }}", "")
+        yield from _some(batch, ~materials.transparent[batch.materials], scale, SKIN, "")
     for number in np.flatnonzero(materials.transparent).tolist():
-        shared = [
-            line
-            for batch in surfaces
-            if batch.kind != Kind.SPHERE
-            for line in _some(batch, batch.materials == number, scale, "texture {{ M{0} }}", "no_shadow")
-        ]
-        if shared:
-            yield "union {"
-            yield from shared
-            yield f"  interior {{ ior {materials.iors(np.array([number]))[0]:.12g} }} split_union on }}"
+        yield from _shared(surfaces, number, float(materials.iors(np.array([number]))[0]), scale)
     for batch in surfaces:
         clear = materials.transparent[batch.materials]
         if batch.kind == Kind.SPHERE and clear.any():
             balls = batch.select(clear)
-            for k, ior in enumerate(_nested(balls.data, materials.iors(balls.materials)).tolist()):
+            for k, ior in enumerate(_nested(balls.data.astype(np.float64), materials.iors(balls.materials)).tolist()):
                 words = f"interior {{ ior {ior:.12g} }} no_shadow"
-                yield from _spheres(balls.select(np.array([k])), scale, "texture {{ M{0} }}", words)
+                yield from _spheres(balls.select(np.array([k])), scale, SKIN, words)
         yield from _some(batch, clear, scale, "texture {{ Black }}", "no_image no_reflection")
+
+
+def _shared(surfaces: SurfaceSet, number: int, ior: float, scale: float) -> Iterator[str]:
+    """All surfaces of a transparent material but its spheres, with one interior."""
+    chosen = [(batch, batch.materials == number) for batch in surfaces if batch.kind != Kind.SPHERE]
+    objects = sum(np.count_nonzero(rows) if batch.kind in WRITERS else int(rows.any()) for batch, rows in chosen)
+    interior = f"interior {{ ior {ior:.12g} }}"
+    if objects > 1:
+        yield "union {"
+    for batch, rows in chosen:
+        yield from _some(batch, rows, scale, SKIN, "no_shadow" if objects > 1 else f"{interior} no_shadow")
+    if objects > 1:
+        yield f"  {interior} split_union on }}"
 
 
 def _nested(balls: F64, iors: F64) -> F64:
@@ -103,16 +111,15 @@ def _nested(balls: F64, iors: F64) -> F64:
     total = iors.copy()
     if len(balls) <= MOST_NESTED:
         for ball, ior in zip(balls, iors, strict=True):
-            apart = np.linalg.norm(balls[:, :3] - ball[:3], axis=1)
-            total[(apart + np.abs(balls[:, 3]) <= abs(ball[3])) & np.any(balls != ball, axis=1)] *= ior
+            reach = np.linalg.norm(balls[:, :3] - ball[:3], axis=1) + np.abs(balls[:, 3])
+            total[(reach <= abs(ball[3])) & np.any(balls != ball, axis=1)] *= ior
     return total
 
 
 def _some(batch: Batch, rows: NDArray[np.bool_], scale: float, texture: str, words: str) -> Iterator[str]:
     """The chosen surfaces. `texture`: a format of the material's number; `words` go into each surface."""
     if rows.any():
-        writers = {Kind.SPHERE: _spheres, Kind.CYLINDER: _cones, Kind.CONE: _cones, Kind.POLYGON: _polygons}
-        yield from writers.get(batch.kind, _mesh)(batch.select(rows), scale, texture, words)
+        yield from WRITERS.get(batch.kind, _mesh)(batch.select(rows), scale, texture, words)
 
 
 def _skin(texture: str, number: int, inside_only: bool) -> str:
@@ -143,6 +150,9 @@ def _polygons(batch: Batch, scale: float, texture: str, words: str) -> Iterator[
         points = batch.data[batch.starts[k] : batch.starts[k + 1]] * scale
         closed = ",".join(_rows(np.vstack((points, points[:1]))))
         yield f"polygon {{ {len(points) + 1}, {closed} {texture.format(number)} {words} }}"
+
+
+WRITERS = {Kind.SPHERE: _spheres, Kind.CYLINDER: _cones, Kind.CONE: _cones, Kind.POLYGON: _polygons}
 
 
 def _mesh(batch: Batch, scale: float, texture: str, words: str) -> Iterator[str]:

@@ -23,27 +23,34 @@ from typing import Any, cast
 
 from numba import njit
 
+from .kernel_cache import in_directory
+
 Function = Callable[..., Any]  # annotations inside kernels would never be checked, so they have none
 
 _COUNTING: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": False}
 _LEAN: dict[str, Any] = {**_COUNTING, "_nrt": False}
 
 
+def _compiled(function: Function, **options: Any) -> Function:
+    with in_directory():
+        return cast(Function, njit(**options)(function))
+
+
 def kernel(function: Function) -> Function:
     """Compile a function that Python calls and that may make arrays."""
-    return cast(Function, njit(**_COUNTING)(function))
+    return _compiled(function, **_COUNTING)
 
 
 def lean(function: Function) -> Function:
     """Compile a function that Python calls and that makes no array."""
-    return cast(Function, njit(**_LEAN)(function))
+    return _compiled(function, **_LEAN)
 
 
 def part(function: Function) -> Function:
     """Compile a function that kernels call; always inlined."""
-    return cast(Function, njit(forceinline=True, **_LEAN)(function))
+    return _compiled(function, forceinline=True, **_LEAN)
 
 
 def piece(function: Function) -> Function:
     """Compile a function that kernels call, too large to be inlined wherever it is used."""
-    return cast(Function, njit(**_COUNTING)(function))
+    return _compiled(function, **_COUNTING)

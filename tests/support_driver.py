@@ -68,7 +68,9 @@ class Grid:
         self.nodes = {index: Node(space, index, surfaces, frame) for index in indices(space)}
         self.outputs = make_outputs(ROOM, DEPTH)
         self.to_host: list[Bytes] = []
-        self.processed = 0
+        self.processed = 0  # packets
+        self.stopped = 0  # calls that stopped early, for want of room
+        self.fullest = 0  # most packets that an output has held
 
     def run(self, births: bool = True) -> None:
         """Until nothing waits and no sample is left to be born."""
@@ -95,11 +97,12 @@ class Grid:
         if self.schedule is not None:
             order = self.schedule.permutation(many)
             rows, ports = rows[order], ports[order]
-            many = int(np.ceil(many * self.schedule.choice([0.1, 0.5, 1.0, 1.0])))
+            many = int(np.ceil(many * self.schedule.choice([0.1, 0.6, 1.0, 1.0, 1.0, 1.0])))
         node.packets, node.ports = rows[many:], ports[many:]
         flat, served, first = np.ascontiguousarray(rows[:many]).reshape(-1), ports[:many].copy(), 0
         while first < many:
-            last = many if self.schedule is None else int(self.schedule.integers(first + 1, many + 1))
+            in_parts = self.schedule is not None and self.schedule.random() < 0.3
+            last = int(self.schedule.integers(first + 1, many + 1)) if in_parts else many
             done = step(
                 node.cell,
                 self.space,
@@ -115,6 +118,8 @@ class Grid:
             )
             assert done > first, "a step with room for its outputs made no headway"
             self.processed += done - first
+            self.stopped += done < last
+            self.fullest = max(self.fullest, int(self.outputs.held.max()))
             first = done
             self.drain(node)
 

@@ -78,19 +78,6 @@ def test_the_largest_frame_fits_in_a_message():
 
 NOT_NUMBERS: list[object] = [None, "x", b"x", [], {}, True, [1.0, 2.0], [1.0, 2.0, "x"]]
 NOT_NUMBERS += [[1.0, 2.0, float("nan")], [True, 1.0, 1.0]]
-    None,
-    "x",
-    b"x",
-    [],
-    {},
-    True,
-    [1.0, 2.0],
-    [1.0, 2.0, "x"],
-    [1.0, 2.0, float("nan")],
-    [True, 1.0, 1.0],
-]
-
-
 WRONG_STEPS = [0.0, -1e-8, 1.0, 2**64 - 1]
 
 
