@@ -22,7 +22,7 @@ from raygrid.node.link import Link, State
 from raygrid.node.messages import MessageKind, check_packets, pack_surfaces, read_order
 from raygrid.node.orders import frame_order, space_order
 from raygrid.node.packets import KINDS, PIXEL, PRIMARY, read_pixels
-from raygrid.node.processor import COLLECTING, HANDED_ON, HOMES_LEFT, RECEIVED, REFUSED, SUMS, WAITING
+from raygrid.node.processor import COLLECTING, HANDED_ON, HOMES_LEFT, RECEIVED, REFUSED, WAITING, read_sums
 from raygrid.node.step import HEAD
 from raygrid.node.surfaces import Batch, Kind, SurfaceSet
 from raygrid.node.tables import BORN, DIED, Frame
@@ -112,8 +112,8 @@ class Driver:
         self.links[0].send_order(MessageKind.DOWN, {**order, "wave": self._wave_number})
         self._wait(lambda: self._answer is not None, f"the order {order['do']!r} came back")
         answer: dict[str, Any] = self._answer  # type: ignore[assignment]
-        sums = answer.get("sums")
-        if answer.get("wave") != self._wave_number or not isinstance(sums, list) or len(sums) != SUMS:
+        sums = answer["sums"] = read_sums(answer).tolist()
+        if answer.get("wave") != self._wave_number:
             raise ProtocolError(f"wave {self._wave_number} ({order['do']}) came back as another one")
         if sums[REFUSED]:
             raise ArrayError(f"{sums[REFUSED]} times a node refused what came: " + "; ".join(answer["refusals"]))

@@ -28,7 +28,7 @@ from raygrid.node.surfaces import F64
 REACH = 1e3  # the scene's box and the eye measure this to ten times this in POV-Ray's units
 NEAR = 1e-5  # an inverse square is POV-Ray's 2 / (1 + (r / d)^2) with d this part of REACH
 FAR = 1e3  # a directional light stands this many times the scene's measure away
-SHADE = 0.01  # radius of the shade of a spot light, POV-Ray's units; it must be above 1/1000
+SHADE = 0.002  # radius of the shade of a spot light in POV-Ray's units, of which it overlooks 0.001
 
 
 def export_file(

@@ -85,8 +85,9 @@ class Link:
         self._sent = self._received = 0  # sequence numbers
         self._data_sent = self._data_done = self._data_done_told = 0
         self._credit = 0  # data messages of ours that the peer has processed
-        self._waiting: deque[tuple[MessageKind, int, bytes]] = deque()  # data without credit
-        self._urgent: deque[tuple[MessageKind, bytes]] = deque()  # orders that the channel had no room for
+        # data without credit, and orders that the channel had no room for; to be looked at, not changed, from outside
+        self.queued: deque[tuple[MessageKind, int, bytes]] = deque()
+        self.urgent: deque[tuple[MessageKind, bytes]] = deque()
         self.messages_sent = self.bytes_sent = self.stale = 0
         self.most_waiting = 0
         self._post(MessageKind.HELLO, pack_order(self._identity))
@@ -96,12 +97,12 @@ class Link:
     @property
     def waiting(self) -> int:
         """Messages that wait for credit or room."""
-        return len(self._waiting) + len(self._urgent)
+        return len(self.queued) + len(self.urgent)
 
     @property
     def choked(self) -> bool:
         """Whether a message could go by the link's rules, but the channel had no room for it."""
-        return bool(self._urgent) or (bool(self._waiting) and self._may_send_data())
+        return bool(self.urgent) or (bool(self.queued) and self._may_send_data())
 
     def send_order(self, kind: MessageKind, order: dict[str, Any]) -> None:
         """Send an order or answer; it needs no credit, because waves are few."""
@@ -109,13 +110,13 @@ class Link:
 
     def send_data(self, kind: MessageKind, count: int, payload: bytes) -> None:
         """Send packets or surfaces, now or when there is credit."""
-        self._waiting.append((kind, count, payload))
-        self.most_waiting = max(self.most_waiting, len(self._waiting))
+        self.queued.append((kind, count, payload))
+        self.most_waiting = max(self.most_waiting, len(self.queued))
         self.push()
 
     def send_packets(self, row: NDArray[np.uint8], held: int, batch: int) -> None:
         """Send the first `held` packets of an output row (HEAD bytes are free at its head), `batch` a message."""
-        if held <= batch and not self._waiting and not self._urgent and self._may_send_data():
+        if held <= batch and not self.queued and not self.urgent and self._may_send_data():
             data = row.data
             HEADER.pack_into(data, 0, *self._header(MessageKind.PACKETS, held))
             if self.channel.send(data[: HEAD + held * SIZE]):
@@ -124,23 +125,23 @@ class Link:
         for first in range(0, held, batch):
             many = min(batch, held - first)
             begin = HEAD + first * SIZE
-            self._waiting.append((MessageKind.PACKETS, many, row[begin : begin + many * SIZE].tobytes()))
-        self.most_waiting = max(self.most_waiting, len(self._waiting))
+            self.queued.append((MessageKind.PACKETS, many, row[begin : begin + many * SIZE].tobytes()))
+        self.most_waiting = max(self.most_waiting, len(self.queued))
         self.push()
 
     def push(self) -> None:
         """Send what waits, as far as credit and the channel allow."""
-        while self._urgent:
-            kind, payload = self._urgent[0]
+        while self.urgent:
+            kind, payload = self.urgent[0]
             if not self._send_now(kind, 0, payload):
                 return
-            self._urgent.popleft()
+            self.urgent.popleft()
         self._maybe_closed()
-        while self._waiting and self._may_send_data():
-            kind, count, payload = self._waiting[0]
+        while self.queued and self._may_send_data():
+            kind, count, payload = self.queued[0]
             if not self._send_now(kind, count, payload):
                 return
-            self._waiting.popleft()
+            self.queued.popleft()
 
     def grant(self, messages: int = 1) -> None:
         """Say that this many data messages from the peer have been processed."""
@@ -162,8 +163,8 @@ class Link:
         return (int(kind), 0, self.epoch, self._sent & 0xFFFFFFFF, self._data_done & 0xFFFFFFFF, count)
 
     def _post(self, kind: MessageKind, payload: bytes) -> None:
-        if self._urgent or not self._send_now(kind, 0, payload):
-            self._urgent.append((kind, payload))
+        if self.urgent or not self._send_now(kind, 0, payload):
+            self.urgent.append((kind, payload))
 
     def _send_now(self, kind: MessageKind, count: int, payload: bytes) -> bool:
         message = HEADER.pack(*self._header(kind, count)) + payload
@@ -267,7 +268,7 @@ class Link:
         self._post(MessageKind.ACK, b"")
 
     def _maybe_closed(self) -> None:
-        if self._bye_heard and self._bye_answered and not self._urgent:
+        if self._bye_heard and self._bye_answered and not self.urgent:
             self.state = State.CLOSED
 
     @property

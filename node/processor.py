@@ -24,6 +24,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .errors import ProtocolError
 from .flood import Branch, branches, tree_children, tree_parent
@@ -77,7 +78,7 @@ class Processor:
         self._cpu_at_frame = 0.0
         self._gather, self.linger, self._flush_at = 0, 0.0, min(FLUSH, batch)
         self._ports = list(links.items())
-        self.choked = False
+        self.choked = self._up = False
 
     # --- the thin loop's three calls ---------------------------------------------------------------
 
@@ -155,7 +156,7 @@ class Processor:
         least = self._flush_at if self.tracer.has_work else 1
         self.choked = False
         for port, link in self._ports:
-            if link.waiting:
+            if link.queued or link.urgent:
                 link.push()
                 self.choked = self.choked or link.choked
             if held[port] >= least:
@@ -245,11 +246,12 @@ class Processor:
         if self._wave is None or len(self._answers) < len(self._children):
             return
         do = self._wave.get("do")
-        if any(link.state == State.NEW for link in self.links.values()):
-            return
         # a held wave waits for idleness, so that waves are rare under load and quick at the end
         if self._deadline and self.clock() < self._deadline and not self._idle():
             return
+        if not self._up and any(link.state is State.NEW for link in self.links.values()):
+            return
+        self._up = True
         answer = self._own_answer(str(do))
         for other in self._answers:
             _add_answer(answer, other)
@@ -275,7 +277,8 @@ class Processor:
             int(tracer.collecting >= 0),
             sum(self.refused.values()),
         ]
-        answer: dict[str, Any] = {"sums": [*tracer.counts.tolist(), *extra], "nodes": []}
+        sums = np.concatenate((tracer.counts, extra)).astype("<i8").tobytes()
+        answer: dict[str, Any] = {"sums": sums, "nodes": []}
         answer["refusals"] = [f"{why} ({times} times)" for why, times in self.refused.most_common(3)]
         if do == "report":
             answer["nodes"] = [self.record()]
@@ -313,13 +316,19 @@ def _held(tracer: Tracer, kind: Kind) -> int:
     return sum(len(batch) for batch in tracer.retained if batch.kind == kind)
 
 
+def read_sums(answer: dict[str, Any]) -> NDArray[np.int64]:
+    """The sums of an answer, int64 (SUMS,). Raises ProtocolError if it has none."""
+    sums = answer.get("sums")
+    if not isinstance(sums, bytes) or len(sums) != 8 * SUMS:
+        raise ProtocolError("an answer came without its sums")
+    return np.frombuffer(sums, "<i8").astype(np.int64)
+
+
 def _add_answer(answer: dict[str, Any], other: dict[str, Any]) -> None:
     """Sum an answer of a child into one's own. Raises ProtocolError if it is not an answer."""
-    sums, nodes, refusals = other.get("sums"), other.get("nodes"), other.get("refusals")
-    if not isinstance(sums, list) or len(sums) != SUMS or not all(type(x) is int for x in sums):
-        raise ProtocolError("an answer came without its sums")
+    nodes, refusals = other.get("nodes"), other.get("refusals")
     if not isinstance(nodes, list) or not isinstance(refusals, list):
         raise ProtocolError("an answer came without its lists")
-    answer["sums"] = [a + b for a, b in zip(answer["sums"], sums, strict=True)]
+    answer["sums"] = (read_sums(answer) + read_sums(other)).tobytes()
     answer["nodes"] = answer["nodes"] + nodes
     answer["refusals"] = (answer["refusals"] + refusals)[:3]

@@ -301,9 +301,10 @@ def test_a_name_with_blanks_and_brackets_does_not_confuse_the_start_time(tmp_pat
 def test_a_front_end_killed_together_with_its_nursery_is_swept_after(gate: Gate):
     front_end = FrontEnd(gate.path, "waits")
     gate.wait_for(3)
+    os.kill(front_end.nursery, signal.SIGSTOP)  # it must not clean up in its place
+    front_end.process.kill()
     os.kill(front_end.nursery, signal.SIGKILL)
     gate.wait_empty()
-    front_end.process.kill()
     front_end.finish()
     assert Path(front_end.directory).exists()
     with Place.create((1, 1, 1)):
