@@ -24,7 +24,7 @@ SAMPLE = 0.2  # seconds between two looks at the memory of all processes
 T = TypeVar("T")
 
 
-class Failed(Exception):
+class BenchError(Exception):
     """A command failed; the text is one sentence that can stand in the table."""
 
 
@@ -52,13 +52,13 @@ class Run:
 
 
 def run(command: list[str], cwd: Path = ROOT, stats: Path | None = None, watch_memory: bool = False) -> Run:
-    """Run a command to its end. Raises Failed if it cannot be started, fails, or takes too long."""
+    """Run a command to its end. Raises BenchError if it cannot be started, fails, or takes too long."""
     with tempfile.TemporaryFile() as out:
         begun = time.perf_counter()
         try:
             process = subprocess.Popen(command, cwd=cwd, stdin=subprocess.DEVNULL, stdout=out, stderr=out)
         except OSError as error:
-            raise Failed(f"{Path(command[0]).name} cannot be started ({error.strerror})") from None
+            raise BenchError(f"{Path(command[0]).name} cannot be started ({error.strerror})") from None
         watcher = MemoryWatcher(process.pid) if watch_memory else None
         code, cpu = _wait(process)
         wall = time.perf_counter() - begun
@@ -67,25 +67,25 @@ def run(command: list[str], cwd: Path = ROOT, stats: Path | None = None, watch_m
         output = out.read().decode(errors="replace")
     if code != 0:
         last = (output.strip().splitlines() or ["without a word"])[-1]
-        raise Failed(f"{Path(command[0]).name} failed with {code}: {last[:200]}")
+        raise BenchError(f"{Path(command[0]).name} failed with {code}: {last[:200]}")
     return Run(wall, cpu, memory, output, json.loads(stats.read_text()) if stats is not None else {})
 
 
 def _wait(process: subprocess.Popen[bytes]) -> tuple[int, float]:
     """(exit code, CPU seconds of all) once it has ended; ends it if it takes too long or Ctrl-C comes."""
-    descriptor = os.pidfd_open(process.pid)
+    descriptor, ended = os.pidfd_open(process.pid), False
     try:
         poller = select.poll()
         poller.register(descriptor, select.POLLIN)
         ended = bool(poller.poll(LONGEST * 1000))
     finally:
         os.close(descriptor)
-        if "ended" not in locals() or not ended:
+        if not ended:
             process.send_signal(signal.SIGTERM)
         _, status, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
     if not ended:
-        raise Failed(f"a command took more than {LONGEST:g} seconds")
+        raise BenchError(f"a command took more than {LONGEST:g} seconds")
     return process.returncode, usage.ru_utime + usage.ru_stime
 
 
@@ -165,10 +165,10 @@ def shown(path: Path) -> str:
 
 
 def spd(name: str) -> Path:
-    """A scene of the Standard Procedural Databases. Raises Failed if it is not there."""
+    """A scene of the Standard Procedural Databases. Raises BenchError if it is not there."""
     path = SHARED / "scenes" / "spd" / f"{name}.nff"
     if not path.is_file():
-        raise Failed(f"skipped: {name}.nff is not in $RAYGRID_SHARED/scenes/spd (RAYGRID_SHARED, else ../shared)")
+        raise BenchError(f"skipped: {name}.nff is not in $RAYGRID_SHARED/scenes/spd (RAYGRID_SHARED, else ../shared)")
     return path
 
 

@@ -1,6 +1,6 @@
 """A large mesh to load: a rippled ring of as many triangles as wanted, as a binary PLY file.
 
-    python benchmarks/big_mesh.py 1000000 ring.ply
+python benchmarks/big_mesh.py 1000000 ring.ply
 """
 
 from __future__ import annotations

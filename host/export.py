@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+
 from raygrid.host.cameras import Camera, Span
 from raygrid.host.export_surfaces import MaterialWriter, surface_lines, vector
 from raygrid.host.job import DEFAULT_DEPTH, DEFAULT_SIZE

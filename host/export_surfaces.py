@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+
 from raygrid.node.surfaces import F64, Batch, Kind, SurfaceSet
 
 MOST = 0.999  # transmission above which the diffuse part, given by what is left of 1, would lose its precision

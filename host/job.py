@@ -70,8 +70,9 @@ def make_job(scene: Scene, shape: tuple[int, int, int], settings: Settings) -> J
         raise SceneError(f"a split came as {settings.split!r}, wanted one of {', '.join(SPLITS)}")
     world = world_around(scene.surfaces.bounds())
     surfaces = world.surfaces(scene.surfaces)
-    space = split(settings.split, shape, world, surfaces)
-    return Job(scene, world, space, surfaces, _frame(scene, world, settings), settings)
+    frame = _frame(scene, world, settings)
+    space = split(settings.split, shape, world, surfaces, frame)
+    return Job(scene, world, space, surfaces, frame, settings)
 
 
 def _frame(scene: Scene, world: World, settings: Settings) -> Frame:

@@ -68,4 +68,4 @@ def save_stats(path: str | Path, stats: dict[str, Any]) -> None:
     lines = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in stats.items() if key != "nodes"]
     nodes = ",\n".join(f"  {json.dumps(node)}" for node in stats["nodes"])
     text = "{\n" + ",\n".join([*lines, f' "nodes": [\n{nodes}\n ]']) + "\n}\n"
-    write_whole(path, lambda file: file.write(text.encode()))
+    write_whole(path, lambda file: file.writelines([text.encode()]))

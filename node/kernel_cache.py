@@ -17,8 +17,11 @@ import shutil
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
-from numba.core import config
+from numba.core import config as _config
+
+config: Any = _config  # its names are made at run time
 
 FORGET_DAYS = 30.0
 _SETTINGS = ("BOUNDSCHECK", "OPT", "DEBUG", "ENABLE_PROFILING")  # of numba, that change the machine code

@@ -355,10 +355,15 @@ def step(cell, space, frame, surfaces, pixels, packets, ports, first, last, outp
     Stops early when an output might overflow, and returns the number of the first packet not processed.
     A packet gives at most one packet a light, a reflected and a refracted ray.
     """
-    room = (outputs.data.shape[1] - HEAD) // SIZE - (frame.n_lights + 2)
+    room = (outputs.data.shape[1] - HEAD) // SIZE
     k = first
-    while k < last and fullest(outputs.held) <= room:
-        step_one(cell, space, frame, surfaces, pixels, packets, k * SIZE, np.int64(ports[k]), outputs, counts)
-        k += 1
+    while k < last:
+        # so many packets cannot fill an output, whatever they give birth to: no need to look at each
+        stop = min(last, k + (room - fullest(outputs.held)) // (frame.n_lights + 2))
+        if stop == k:
+            break
+        while k < stop:
+            step_one(cell, space, frame, surfaces, pixels, packets, k * SIZE, np.int64(ports[k]), outputs, counts)
+            k += 1
     return k
 

@@ -17,9 +17,9 @@ from raygrid.node.walk import OUTPUTS, SELF
 from support_driver import Grid
 from support_frames import make_frame, orthographic
 from support_packets import ray_bytes, return_bytes, shadow_bytes
+from support_scenes import EVEN_STEP, space_of
 from support_space import Index
 from support_surfaces import F64, batch
-from support_scenes import EVEN_STEP, space_of
 
 Vector = Sequence[float] | F64
 SIZE_OF_PICTURE = (10, 10)

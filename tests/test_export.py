@@ -6,11 +6,12 @@ import subprocess
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from support_render import SCENES, noticeable, psnr, rendered, shared
+
 from raygrid.host.cli import cli
 from raygrid.host.export import export_file, pov_lines
 from raygrid.host.load import load_scene
 from raygrid.node.errors import OutputError, SceneError
-from support_render import SCENES, noticeable, psnr, rendered, shared
 
 POVRAY = shutil.which("povray")
 needs_povray = pytest.mark.skipif(POVRAY is None, reason="povray is not installed, so there is nothing to compare with")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,10 +33,13 @@ def unit(v: Vector) -> F64:
     return np.array(v, float) / np.linalg.norm(v)
 
 
-def frame_of(*lights: np.ndarray, **facts: object) -> Frame:
-    """A frame with one material and these lights."""
-    of_material = {name: facts.pop(name) for name in ("diffuse", "highlight", "shine", "specular", "transmission", "ior") if name in facts}
-    return make_frame(FRONT, SIZE_OF_PICTURE, materials=[material(**of_material)], lights=lights, **facts)
+LOOKS = ("diffuse", "highlight", "shine", "specular", "transmission", "ior")
+
+
+def frame_of(*lights: np.ndarray, **facts: Any) -> Frame:
+    """A frame with these lights, and one material of these looks."""
+    look = {name: facts.pop(name) for name in LOOKS if name in facts}
+    return make_frame(FRONT, SIZE_OF_PICTURE, materials=[material(**look)], lights=lights, **facts)
 
 
 # --- a hit --------------------------------------------------------------------------------------------------
@@ -78,7 +82,8 @@ def test_refraction_obeys_snell(ior, angle, below):
     """sin i / sin r = n2 / n1; total internal reflection beyond the critical angle, with the whole weight."""
     sine, down = math.sin(math.radians(angle)), 1.0 if below else -1.0
     way = np.array([sine, 0.0, down * math.cos(math.radians(angle))])
-    served = serve(ray(-0.2 * way, way, weight=(1, 0.5, 0.25)), [FLOOR], frame_of(transmission=(0.5, 1.0, 0.5), ior=ior))
+    frame = frame_of(transmission=(0.5, 1.0, 0.5), ior=ior)
+    served = serve(ray(-0.2 * way, way, weight=(1, 0.5, 0.25)), [FLOOR], frame)
     bent = sine * (ior if below else 1.0 / ior)
     if bent > 1.0:
         born = served.only(SELF_RAYS, REFLECTED)
@@ -101,7 +106,8 @@ def test_a_hit_of_the_deepest_rays_bears_shadows_only():
     assert list(served.out) == [SELF]
     assert served.number(SHADOW) == 1
     assert served.only(SELF, SHADOW).depth == 3
-    assert {p.kind for row in serve(ray([0, 0, 0.2], -Z, depth=2), [FLOOR], frame).out.values() for p in row} == {SHADOW, REFLECTED, REFRACTED}
+    served = serve(ray([0, 0, 0.2], -Z, depth=2), [FLOOR], frame)
+    assert [served.number(kind) for kind in (SHADOW, REFLECTED, REFRACTED)] == [1, 1, 1]
 
 
 def test_rays_that_are_too_faint_are_not_born():
@@ -127,33 +133,35 @@ def test_shadow_rays_carry_what_they_will_add():
     first, second = served.out[SELF]
     assert (first.light, second.light) == (0, 3)
     for born, intensity in ((first, (1.0, 0.5, 0.25)), (second, (2.0, 2.0, 2.0))):
-        # N.L and R.L are both 4/5, as R = N
-        expected = np.array([1.0, 0.5, 1.0]) * intensity * (0.8 * np.array([0.5, 0.25, 1.0]) + 0.512 * np.array([0.5, 0.0, 0.25]))
+        seen = 0.8 * np.array([0.5, 0.25, 1.0]) + 0.512 * np.array([0.5, 0.0, 0.25])  # N.L = R.L = 4/5, as R = N
+        expected = np.array([1.0, 0.5, 1.0]) * intensity * seen
         assert born.values == pytest.approx(expected, rel=1e-5)
         np.testing.assert_allclose(place(born.origin), [0, 0, LIFT], rtol=0, atol=STEP)
 
 
 def test_light_from_below_lights_the_underside():
-    served = serve(ray([0, 0, -0.2], Z), [FLOOR], frame_of(directional_light([0, 0, -1]), directional_light(Z), diffuse=1.0))
+    frame = frame_of(directional_light(-Z), directional_light(Z), diffuse=1.0)
+    served = serve(ray([0, 0, -0.2], Z), [FLOOR], frame)
     (born,) = served.out[SELF]
     assert (born.light, born.values) == (0, (1.0, 1.0, 1.0))
     assert place(born.origin)[2] == pytest.approx(-LIFT, abs=STEP)
 
 
 def test_smooth_triangles_are_lit_by_their_interpolated_normal():
-    light = unit([0, 0, 1])
-    for weights in ([1, 0, 0], [0.2, 0.5, 0.3], [0.1, 0.1, 0.8]):
-        point = np.array(weights) @ np.array(TRIANGLE[1]).reshape(3, 3) * 0.999
-        edges = np.array(TRIANGLE[1]).reshape(3, 3)
-        inner = np.linalg.solve(np.vstack((edges[:, :2].T, np.ones(3))), [*point[:2], 1.0])
-        normal = unit(inner @ np.array(SMOOTH[1][9:]).reshape(3, 3))
-        served = serve(ray(point + 0.2 * Z, -Z), [SMOOTH], frame_of(directional_light(light), diffuse=1.0, specular=1.0))
-        assert served.only(SELF, SHADOW).values[0] == pytest.approx(normal @ light, rel=1e-4)
+    corners, normals = np.array(SMOOTH[1]).reshape(2, 3, 3)
+    frame = frame_of(directional_light(Z), diffuse=1.0, specular=1.0)
+    for weights in ([0.998, 0.001, 0.001], [0.2, 0.5, 0.3], [0.1, 0.1, 0.8]):
+        normal = unit(np.array(weights) @ normals)
+        served = serve(ray(np.array(weights) @ corners + 0.2 * Z, -Z), [SMOOTH], frame)
+        assert served.only(SELF, SHADOW).values[0] == pytest.approx(normal[2], rel=1e-5)
         mirrored = served.only(SELF_RAYS, REFLECTED).direction
-        np.testing.assert_allclose(mirrored, -Z + 2 * normal[2] * normal, rtol=0, atol=1e-4)
+        np.testing.assert_allclose(mirrored, -Z + 2 * normal[2] * normal, rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize(("at", "fade"), [(0.0, 1.0), (0.1, 1.0), (0.2, ((0.4 / 0.2**0.5 - 0.8) / 0.15) ** 2), (0.4, 0.0)])
+HALF_LIT = ((0.4 / 0.2**0.5 - 0.8) / 0.15) ** 2
+
+
+@pytest.mark.parametrize(("at", "fade"), [(0.0, 1.0), (0.1, 1.0), (0.2, HALF_LIT), (0.4, 0.0)])
 def test_spots_and_falloff(at, fade):
     """Full inside cos 0.95, none outside cos 0.8, between them the square of the part (KHR_lights_punctual)."""
     spot = point_light([0, 0, 0.4], 1.0, spot=1, axis=-Z, cos_inner=0.95, cos_outer=0.8, falloff=1)
@@ -166,22 +174,23 @@ def test_spots_and_falloff(at, fade):
 # --- shadow rays --------------------------------------------------------------------------------------------
 
 POINT = point_light([0, 0, 0.4])
-SHADOWS = [  # what, surfaces, light, origin, whether it arrives
-    ("nothing in the way", [], POINT, [0, 0, -0.2], True),
-    ("a surface in the way", [FLOOR], POINT, [0, 0, -0.2], False),
-    ("a surface from its other side", [FLOOR], point_light([0, 0, -0.4]), [0, 0, 0.2], False),
-    ("a surface behind the light", [FLOOR], point_light([0, 0, -0.1]), [0, 0, -0.2], True),
-    ("a surface behind the origin", [FLOOR], POINT, [0, 0, 0.2], True),
-    ("a surface under the origin", [FLOOR], POINT, [0, 0, 0.5 * T_MIN], True),
-    ("to infinity", [], directional_light(Z), [0, 0, -0.2], True),
-    ("to infinity, blocked", [FLOOR], directional_light([1, 1, 1]), [0, 0, -0.2], False),
-    ("a light outside", [FLOOR], point_light([0, 0, 9]), [0, 0, 0.2], True),
-    ("at the light itself", [FLOOR], POINT, [0, 0, 0.4], True),
-]
+SHADOWS = {  # surfaces, light, origin, whether it arrives
+    "nothing in the way": ([], POINT, [0, 0, -0.2], True),
+    "a surface in the way": ([FLOOR], POINT, [0, 0, -0.2], False),
+    "a surface from its other side": ([FLOOR], point_light([0, 0, -0.4]), [0, 0, 0.2], False),
+    "a surface behind the light": ([FLOOR], point_light([0, 0, -0.1]), [0, 0, -0.2], True),
+    "a surface behind the origin": ([FLOOR], POINT, [0, 0, 0.2], True),
+    "a surface under the origin": ([FLOOR], POINT, [0, 0, 0.5 * T_MIN], True),
+    "to infinity": ([], directional_light(Z), [0, 0, -0.2], True),
+    "to infinity, blocked": ([FLOOR], directional_light([1, 1, 1]), [0, 0, -0.2], False),
+    "a light outside": ([FLOOR], point_light([0, 0, 9]), [0, 0, 0.2], True),
+    "at the light itself": ([FLOOR], POINT, [0, 0, 0.4], True),
+}
 
 
-@pytest.mark.parametrize(("surfaces", "light", "origin", "arrives"), [c[1:] for c in SHADOWS], ids=[c[0] for c in SHADOWS])
-def test_shadow_rays(surfaces, light, origin, arrives):
+@pytest.mark.parametrize("case", SHADOWS)
+def test_shadow_rays(case):
+    surfaces, light, origin, arrives = SHADOWS[case]
     served = serve(shadow(origin, sample=42), surfaces, frame_of(light))
     assert served.out == {}  # one node is home to all
     np.testing.assert_array_equal(served.sums[42], np.array([0.5, 0.25, 1.0]) * 2**24 * arrives)
@@ -236,17 +245,14 @@ def test_rays_go_to_their_start_first_and_then_walk():
 
 
 def test_a_hit_belongs_to_the_cell_that_holds_it():
-    """The same ray and surface: the cell before the hit hands on, the cell of the hit shades."""
-    surfaces, data = [(Kind.SPHERE, [0.0, 0.0, 0.0, 0.25], 0)], ray([-0.3, 0.2, 0.1], X)
-    near = -math.sqrt(0.25**2 - 0.2**2 - 0.1**2)
-    for shape, cells in (("2x2x2", 2), ("4x3x1", 4), ("8x8x8", 8)):
-        y, z = {"2x2x2": (1, 1), "4x3x1": (2, 0), "8x8x8": (5, 4)}[shape]
-        for x in range(int((-0.3 + 0.5) * cells), cells):
-            port = SELF if x == int((-0.3 + 0.5) * cells) else 0
-            served = serve(data, surfaces, port=port, shape=shape, index=(x, y, z))
-            holds = int((near + 0.5) * cells) == x
-            if holds or x <= (near + 0.5) * cells:
-                assert served.counts[HITS] == holds
+    """The same ray and surfaces: cells before and behind the hit hand on, the cell of the hit shades."""
+    surfaces, data = [BALL], ray([-0.45, 0.2, 0.1], X)  # hit at x = -0.11
+    for shape, y, z in (("2x2x2", 1, 1), ("4x3x1", 2, 0), ("8x8x8", 5, 4)):
+        cells = int(shape[0])
+        for x in range(cells):
+            served = serve(data, surfaces, port=0 if x else SELF, shape=shape, index=(x, y, z))
+            if x <= (-0.11 + 0.5) * cells:  # it comes no farther
+                assert served.counts[HITS] == (x == int((-0.11 + 0.5) * cells))
 
 
 def test_returns_go_along_x_then_y_then_z_and_are_kept_at_home():
@@ -269,7 +275,8 @@ def test_a_return_for_a_pixel_that_is_not_held_dies_and_is_counted():
 
 def test_pixels_go_to_the_nearest_corner():
     data = pixel_bytes(42, (1, 2, 3), 4)
-    ways = {(0, 0, 0): HOST, (4, 4, 4): HOST, (4, 0, 4): HOST, (1, 4, 4): 0, (3, 0, 0): 1, (2, 2, 2): 0, (0, 3, 1): 3, (4, 4, 1): 4}
+    ways = {(0, 0, 0): HOST, (4, 4, 4): HOST, (4, 0, 4): HOST}
+    ways |= {(1, 4, 4): 0, (3, 0, 0): 1, (2, 2, 2): 0, (0, 3, 1): 3, (4, 4, 1): 4}
     for index, output in ways.items():
         served = serve(data, shape="5x5x5", index=index)
         assert served.only(output, packets.PIXEL).values == (1, 2, 3)
