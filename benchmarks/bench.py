@@ -20,6 +20,7 @@ import importlib.metadata
 import os
 import platform
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -29,7 +30,7 @@ import bench_embree
 import bench_large
 import bench_povray
 import bench_start
-from bench_run import ROOT, BenchError, run, tell
+from bench_run import ROOT, BenchError, render, run, tell
 from bench_tables import Section, document, with_head_kept
 
 RUNS = {"a": 5, "b": 3, "c": 7, "d": 3, "e": 1, "f": 1}  # where --runs does not say
@@ -130,6 +131,9 @@ def main(arguments: list[str]) -> None:
     options = parse(arguments)
     begun = time.monotonic()
     made, top = [], head(arguments)
+    with tempfile.TemporaryDirectory() as folder:  # so that nothing is compiled while it is measured
+        tell("once before: raygrid render scenes/tiny.nff")
+        render(bench_start.TINY, Path(folder))
     for letter, measure in sections(options.quick, options.runs).items():
         if letter not in options.only:
             continue

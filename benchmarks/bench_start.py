@@ -20,12 +20,11 @@ PHASES = (
 
 
 def measure(runs: int, shapes: tuple[str, ...]) -> Section:
-    """The section. Each command has run once before, so that nothing compiles."""
+    """The section."""
     section = Section("c. Start-up, warm")
     table = section.table("what", "seconds", "command")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        render(TINY, folder)
         results = alternating(
             runs,
             {"raygrid --help": lambda: run([RAYGRID, "--help"]), "raygrid render": lambda: render(TINY, folder)},

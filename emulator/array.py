@@ -61,6 +61,7 @@ class Array:
         self._poller = zmq.Poller()
         self._driver: Driver | None = None
         self._closing = False
+        self._lost: LostProcess | None = None
         self.pids: list[int] = []
 
     @classmethod
@@ -141,6 +142,8 @@ class Array:
 
     def _pump(self, seconds: float) -> None:
         """Wait for messages of corners and events of processes, and take them in."""
+        if self._lost is not None:
+            raise self._lost
         corner_of = {pair.socket: corner for corner, pair in self._pairs.items()}
         for ready, _ in self._poller.poll(int(seconds * 1000)):
             if ready in corner_of:
@@ -155,7 +158,9 @@ class Array:
         assert self._nursery is not None
         for event in self._nursery.read_events():
             if isinstance(event, Ended) and not (self._closing and event.code == 0):
-                raise LostProcess(f"node {','.join(map(str, event.index))} (pid {event.pid}) ended: {event.why}")
+                place = ",".join(map(str, event.index))
+                self._lost = LostProcess(f"node {place} (pid {event.pid}) ended: {event.why}")
+                raise self._lost
             if isinstance(event, Warming) and self._on_warming is not None:
                 self._on_warming(event.done, event.total, event.what)
 
@@ -163,7 +168,7 @@ class Array:
         """End all processes, close all sockets, remove all files. May be called twice, and at any time."""
         self._closing = True
         try:
-            if self._driver is not None:
+            if self._driver is not None and self._lost is None:  # an array with a hole cannot say goodbye
                 with contextlib.suppress(RaygridError):
                     self._driver.patience = min(self._driver.patience, END_SECONDS)
                     self._driver.end()
