@@ -30,7 +30,7 @@ import bench_embree
 import bench_large
 import bench_povray
 import bench_start
-from bench_run import ROOT, BenchError, render, run, tell
+from bench_run import BenchError, render, run, tell
 from bench_tables import Section, document, with_head_kept
 
 RUNS = {"a": 5, "b": 3, "c": 7, "d": 3, "e": 1, "f": 1}  # where --runs does not say
@@ -133,7 +133,10 @@ def main(arguments: list[str]) -> None:
     made, top = [], head(arguments)
     with tempfile.TemporaryDirectory() as folder:  # so that nothing is compiled while it is measured
         tell("once before: raygrid render scenes/tiny.nff")
-        render(bench_start.TINY, Path(folder))
+        try:
+            render(bench_start.TINY, Path(folder))
+        except BenchError as error:
+            sys.exit(f"bench: {error}")
     for letter, measure in sections(options.quick, options.runs).items():
         if letter not in options.only:
             continue
@@ -151,5 +154,4 @@ def main(arguments: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    os.chdir(ROOT)
     main(sys.argv[1:])

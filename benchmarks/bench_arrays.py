@@ -6,11 +6,11 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from bench_run import ROOT, BenchError, alternating, render, script, shown, spd, tell
-from bench_tables import Section, Spread, number, ratio, spread
+from bench_run import BenchError, alternating, own, render, script, shown, spd, tell
+from bench_tables import Section, Spread, Table, number, ratio, spread
 
 SHAPES = ("1x1x1", "2x2x2", "4x4x4")
-OWN = ("kinds.nff", "glass.toml", "lights.toml", "room.glb")
+OWN = ("kinds.nff", "glass.toml", "lights.toml", "room.glb", "tree.nff")
 SPD = ("balls_3", "gears_2", "mount_5", "rings_3", "teapot_6", "tetra_6")
 UNEVEN = ("tree", "balls", "teapot")  # scenes on large ground polygons, of which the balance is promised
 OVERHEAD = ("balls_3", "mount_5", "tetra_6")
@@ -29,7 +29,7 @@ def scenes(names: tuple[str, ...]) -> list[Path | BenchError]:
     found: list[Path | BenchError] = []
     for name in names:
         try:
-            found.append(ROOT / "scenes" / name if "." in name else spd(name))
+            found.append(own(name) if "." in name else spd(name))
         except BenchError as error:
             found.append(error)
     return found
@@ -37,7 +37,7 @@ def scenes(names: tuple[str, ...]) -> list[Path | BenchError]:
 
 def measure(runs: int, names: tuple[str, ...], shapes: tuple[str, ...], size: int) -> Section:
     """Part b."""
-    section = Section(f"b. raygrid on {', '.join(shapes)}, {size}x{size}, 1 sample a pixel")
+    section = Section(f"b. raygrid on {', '.join(shapes)}, {size}x{size}, 1 sample a pixel; runs: {runs}")
     section.say(WHOLE_CPU)
     whole = section.table(
         "scene", "array", "read, s", "load, s", "trace, s", "collect, s", "whole, s", "CPU of all, s",
@@ -62,7 +62,7 @@ def measure(runs: int, names: tuple[str, ...], shapes: tuple[str, ...], size: in
     return section
 
 
-def _whole_commands(table: Any, scene: Path, runs: int, shapes: tuple[str, ...], options: tuple[str, ...]) -> None:
+def _whole_commands(table: Table, scene: Path, runs: int, shapes: tuple[str, ...], options: tuple[str, ...]) -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         turns = {shape: (lambda s=shape: render(scene, folder, "--array", s, *options)) for shape in shapes}
@@ -78,7 +78,7 @@ def _whole_commands(table: Any, scene: Path, runs: int, shapes: tuple[str, ...],
 
 
 def _frames(
-    section: Section, table: Any, scene: Path, runs: int, shapes: tuple[str, ...], size: str, splits: tuple[str, ...]
+    section: Section, table: Table, scene: Path, runs: int, shapes: tuple[str, ...], size: str, splits: tuple[str, ...]
 ) -> None:
     arrays = [word for shape in shapes for word in ("--array", shape)]
     both = [word for split in splits for word in ("--split", split)]
@@ -120,7 +120,7 @@ def _of(lines: list[dict[str, Any]], shape: str, split: str) -> dict[str, Spread
 
 def measure_overhead(runs: int, names: tuple[str, ...], shapes: tuple[str, ...], size: int) -> Section:
     """Part d."""
-    section = Section(f"d. Overhead of the array at {size}x{size}")
+    section = Section(f"d. Overhead of the array at {size}x{size}; runs: {runs}")
     section.say(FRAME_CPU)
     table = section.table(
         "scene", "array", "wall, s", "CPU of nodes, s", "CPU of host, s", f"CPU / {shapes[0]}", f"wall / {shapes[0]}",

@@ -23,7 +23,7 @@ def measure(names: tuple[str, ...]) -> Section:
             paths.append(spd(name))
         except BenchError as error:
             section.say(f"{error}.")
-    section.say(f"`python benchmarks/kernel_embree.py {' '.join(map(shown, paths))}`")
+    section.say(f"`{' '.join(['python benchmarks/kernel_embree.py', *map(shown, paths)])}`")
     try:
         output = run([sys.executable, str(SCRIPT), *map(str, paths)]).output
     except BenchError as error:

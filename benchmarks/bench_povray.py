@@ -15,7 +15,7 @@ from PIL import Image
 SCENES = ("balls_3", "gears_2", "mount_5", "rings_3", "teapot_6", "tetra_6")
 SIZE = 512
 THREADS = 2
-SECONDS = re.compile(r"(Parse|Bounding|Trace) Time:.*\(([\d.]+) seconds\)")
+SECONDS = re.compile(r"(Parse|Bounding|Trace) Time:.*\(([\d.]+) seconds\)\s+using .* with ([\d.]+) CPU-seconds")
 DIFFERENCES = """\
 What differs in the work done. Both programs render the same scene, POV-Ray from the file that `raygrid export` writes,
 to an 8-bit PNG by the same rules: one ray through the middle of each pixel, no antialiasing; depth 5; a shadow ray to
@@ -29,6 +29,8 @@ once for its look and once for its shadow, which was faster for it than to let l
 `trace` of raygrid begins with the order to all nodes and ends with the wave that finds the frame complete; the
 collecting of pixels, which POV-Ray does while it traces, is in `whole`. `whole` is from shell to picture: for raygrid
 with the start of Python and of the array, for POV-Ray with parsing. raygrid 2x2x2 has 8 processes, POV-Ray two threads.
+The CPU of tracing is that of POV-Ray's threads, and that of all nodes until the pixels are collected; while others use
+the computer, it compares better than seconds of the clock.
 `off` is the part of the pixels of which a channel of the two linear pictures differs by more than 2 of 255."""
 
 
@@ -51,8 +53,10 @@ def povray_version() -> str:
 
 
 def seconds_in(log: str) -> dict[str, float]:
-    """Seconds by phase that POV-Ray's log gives. Raises BenchError if the trace time is missing."""
-    found = {phase.lower(): float(seconds) for phase, seconds in SECONDS.findall(log)}
+    """Wall seconds by phase, and CPU seconds of tracing, of POV-Ray's log. Raises BenchError if they are missing."""
+    found: dict[str, float] = {}
+    for phase, seconds, cpu in SECONDS.findall(log):
+        found |= {phase.lower(): float(seconds), f"{phase.lower()} cpu": float(cpu)}
     if "trace" not in found:
         raise BenchError("POV-Ray's log came without its trace time")
     return found
@@ -65,36 +69,34 @@ def options_of_povray() -> list[str]:
 
 def measure(runs: int, names: tuple[str, ...]) -> Section:
     """The section."""
-    section = Section(f"a. POV-Ray with {THREADS} threads and raygrid, {SIZE}x{SIZE}")
+    section = Section(f"a. POV-Ray with {THREADS} threads and raygrid, {SIZE}x{SIZE}; runs: {runs}")
     program = povray_program()
     table = section.table(
-        "scene", "program", "parse or read and load, s", "trace, s", "whole, s", "CPU, s", "POV-Ray trace / this",
-        "POV-Ray whole / this", "off", "command",
+        "scene", "program", "parse or read and load, s", "trace, s", "CPU of tracing, s", "whole, s", "CPU of all, s",
+        "POV-Ray trace / this", "POV-Ray CPU of tracing / this", "POV-Ray whole / this", "off", "command",
     )  # fmt: skip
-    ratios: dict[str, list[tuple[float, float]]] = {}
+    ratios: dict[str, list[tuple[float, ...]]] = {}
     for name in names:
         tell(f"  {name}")
         try:
             with tempfile.TemporaryDirectory() as folder:
                 _compare(spd(name), program, runs, Path(folder), table, ratios)
         except BenchError as error:
-            table.add(name, str(error), *["-"] * 8)
-    for shape, pairs in ratios.items():
-        trace, whole = (geometric_mean(pair[k] for pair in pairs) for k in (0, 1))
-        table.add(
-            f"all {len(pairs)}, geometric mean", f"raygrid {shape}", *["-"] * 4, number(trace), number(whole), "-", "-"
-        )
+            table.add(name, str(error), *["-"] * 10)
+    for shape, rows in ratios.items():
+        means = [geometric_mean(values) for values in zip(*rows, strict=True)]
+        count = f"all {len(rows)}, geometric mean"
+        table.add(count, f"raygrid {shape}", *["-"] * 5, *map(number, means), "-", "-")
         if shape == "2x2x2":
-            section.expect("POV-Ray's trace time over raygrid's, geometric mean", trace, 2.0, at_most=False)
-            least = min((pair[0] for pair in pairs), default=float("nan"))
-            section.expect("the same, the worst scene", least, 1.0, at_most=False)
-            section.expect("POV-Ray's whole time over raygrid's, geometric mean", whole, 1.2, at_most=False)
+            section.expect("POV-Ray's trace time over raygrid's, geometric mean", means[0], 2.0, at_most=False)
+            section.expect("the same, the worst scene", min(row[0] for row in rows), 1.0, at_most=False)
+            section.expect("POV-Ray's whole time over raygrid's, geometric mean", means[2], 1.2, at_most=False)
     section.say(DIFFERENCES)
     return section
 
 
 def _compare(
-    scene: Path, program: str, runs: int, folder: Path, table: Table, ratios: dict[str, list[tuple[float, float]]]
+    scene: Path, program: str, runs: int, folder: Path, table: Table, ratios: dict[str, list[tuple[float, ...]]]
 ) -> None:
     pov = folder / f"{scene.stem}.pov"
     run([RAYGRID, "export", str(scene), "-o", str(pov)])
@@ -106,27 +108,28 @@ def _compare(
         "1x1x1": lambda: render(scene, folder, "--array", "1x1x1", *options),
     }
     results = alternating(runs, turns)
-    logs = [seconds_in(one.output) for one in results["POV-Ray"]]
-    their_trace, their_whole = spread(log["trace"] for log in logs), spread(one.wall for one in results["POV-Ray"])
-    parse = spread(log.get("parse", 0.0) + log.get("bounding", 0.0) for log in logs)
-    cpu = spread(one.cpu for one in results["POV-Ray"])
-    shown_command = f"`raygrid export {shown(scene)}`, `povray +I{pov.name} {' '.join(options_of_povray())}`"
-    table.add(scene.stem, "POV-Ray", parse, their_trace, their_whole, cpu, 1, 1, "-", shown_command)
+    theirs = [spread(values) for values in zip(*map(_of_povray, results["POV-Ray"]), strict=True)]
+    words = f"`raygrid export {shown(scene)}`, `povray +I{pov.name} {' '.join(options_of_povray())}`"
+    table.add(scene.stem, "POV-Ray", *theirs, 1, 1, 1, "-", words)
     off = f"{100.0 * part_off(folder / 'povray.png', folder / 'raygrid.png'):.3f} %"
     for shape in ("2x2x2", "1x1x1"):
-        trace, whole = (spread(values) for values in zip(*map(_times, results[shape]), strict=True))
-        load = spread(one.phase("read") + one.phase("load") for one in results[shape])
-        pair = ratio(their_trace, trace), ratio(their_whole, whole)
-        ratios.setdefault(shape, []).append(pair)
-        cpu = spread(one.cpu for one in results[shape])
+        ours = [spread(values) for values in zip(*map(_of_raygrid, results[shape]), strict=True)]
+        three = tuple(ratio(theirs[k], ours[k]) for k in (1, 2, 3))
+        ratios.setdefault(shape, []).append(three)
         words = f"`raygrid render {shown(scene)} --array {shape} {' '.join(options)}`"
-        table.add(
-            scene.stem, f"raygrid {shape}", load, trace, whole, cpu, number(pair[0]), number(pair[1]), off, words
-        )  # fmt: skip
+        table.add(scene.stem, f"raygrid {shape}", *ours, *map(number, three), off, words)
 
 
-def _times(one: Run) -> tuple[float, float]:
-    return one.phase("trace"), one.wall
+def _of_povray(one: Run) -> tuple[float, ...]:
+    """Seconds of parsing, tracing, CPU of tracing, the whole, CPU of all."""
+    log = seconds_in(one.output)
+    return log.get("parse", 0.0) + log.get("bounding", 0.0), log["trace"], log["trace cpu"], one.wall, one.cpu
+
+
+def _of_raygrid(one: Run) -> tuple[float, ...]:
+    """The same."""
+    busy = sum(float(node["busy_seconds"]) for node in one.stats["nodes"])
+    return one.phase("read") + one.phase("load"), one.phase("trace"), busy, one.wall, one.cpu
 
 
 def part_off(one: Path, other: Path) -> float:

@@ -164,6 +164,14 @@ def shown(path: Path) -> str:
     return str(path.relative_to(ROOT)) if path.is_relative_to(ROOT) else path.name
 
 
+def own(name: str) -> Path:
+    """A scene of this repository. Raises BenchError if it is not there."""
+    path = ROOT / "scenes" / name
+    if not path.is_file():
+        raise BenchError(f"skipped: there is no scenes/{name}")
+    return path
+
+
 def spd(name: str) -> Path:
     """A scene of the Standard Procedural Databases. Raises BenchError if it is not there."""
     path = SHARED / "scenes" / "spd" / f"{name}.nff"

@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 
 from bench_run import RAYGRID, ROOT, Run, alternating, render, run, script
-from bench_tables import Section, spread
+from bench_tables import Section, Table, spread
 
 TINY = ROOT / "scenes" / "tiny.nff"
 PROMISED = {"2x2x2": 0.2, "4x4x4": 1.0}  # seconds until ready
@@ -21,7 +21,7 @@ PHASES = (
 
 def measure(runs: int, shapes: tuple[str, ...]) -> Section:
     """The section."""
-    section = Section("c. Start-up, warm")
+    section = Section(f"c. Start-up, warm; runs: {runs}")
     table = section.table("what", "seconds", "command")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -56,7 +56,7 @@ def _rest(one: Run) -> float:
     return one.phase("whole") - sum(one.phase(phase) for phase, _ in PHASES)
 
 
-def _ready(section: Section, table, runs: int, shapes: tuple[str, ...]) -> None:  # type: ignore[no-untyped-def]
+def _ready(section: Section, table: Table, runs: int, shapes: tuple[str, ...]) -> None:
     arrays = [word for shape in shapes for word in ("--array", shape)]
     lines = script("ready.py", *arrays, "--runs", str(runs))
     words = f"`python benchmarks/ready.py {' '.join(arrays)} --runs {runs}`"

@@ -31,7 +31,8 @@ CHUNK_BYTES = 1 << 16  # surfaces in a message
 BUDGET = 262_144  # packets in flight below which primaries are admitted
 PATIENCE = 30.0  # seconds without any progress after which the array is taken to hang
 HOLD = 0.02  # seconds for which a busy node may hold a wave, and a millisecond more for every node
-LINGER = 0.015  # seconds for which a node waits for more packets, at most
+# seconds that a node waits for more packets: so long for every node that a processor of this computer carries, at most
+LINGER, LONGEST_LINGER = 0.0012, 0.015
 GATHER = 0.5  # part of the mean share of packets that it waits for
 EAGER_FLUSH, CROWDED_FLUSH = 256, 4096  # packets for which a node with work sends an output
 LEAST_SHARE = 256  # packets a node below which nobody waits
@@ -155,9 +156,7 @@ class Driver:
 
     # --- tracing -------------------------------------------------------------------------------------
 
-    def trace(
-        self, frame: Frame, budget: int = BUDGET, progress: Callable[[Progress], None] | None = None
-    ) -> Progress:
+    def trace(self, frame: Frame, budget: int = BUDGET, progress: Callable[[Progress], None] | None = None) -> Progress:
         """Trace a pass to completion: two successive waves with equal sums, born = died, nothing left to admit."""
         answer = self.wave(frame_order(frame))
         hold = HOLD + 0.001 * self.nodes
@@ -188,7 +187,11 @@ class Driver:
         share = now.in_flight // self.nodes
         if self.nodes <= self._processors or share < LEAST_SHARE:
             return {"gather": 0, "linger": 0.0, "flush": EAGER_FLUSH}
-        return {"gather": int(share * GATHER), "linger": LINGER, "flush": CROWDED_FLUSH}
+        return {
+            "gather": int(share * GATHER),
+            "linger": min(LONGEST_LINGER, LINGER * self.nodes / self._processors),
+            "flush": CROWDED_FLUSH,
+        }
 
     def _why_stuck(self, now: Progress) -> str:
         waiting = [

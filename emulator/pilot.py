@@ -1,20 +1,8 @@
-"""A quick pilot of rays: where in the world box a frame's work will be, before any array is launched.
+"""A quick pilot of rays: what a frame's rays will do, before any array traces them.
 
 A coarse grid of the picture's rays is traced to full depth through the whole scene in one cell, by the nodes' own step
-and walk, and of each ray and shadow ray is kept where it begins, its direction, and how far it goes. Then they are
-walked again through a fine grid of possible planes. What a cell of the array will have to do is a sum over
-
-    voxels   work done at a place: rays born and walked there, boxes opened, hits shaded, samples taken in
-    faces    rays and return packets that cross a plane, each a walk more in the cell that they enter
-
-and with running sums over both, the cost of any box between any planes of the grid is a few additions. The count of
-walks is exact: a path through the fine grid is the path through any planes chosen from it and some crossings more,
-as both put the same times, worked out by the same arithmetic (`node.walk`), in the same order.
-
-The idea of placing planes where the estimated cost of work divides evenly is that of Dippé and Swensen ("An adaptive
-subdivision algorithm and parallel architecture for realistic image synthesis", SIGGRAPH 1984) and, with a sample of
-rays as the measure, of Priol and Bouatouch ("Static load balancing for a parallel ray tracing on a MIMD hypercube",
-The Visual Computer 5, 1989).
+and hierarchy, and of each ray and shadow ray is kept where it begins, its direction, and how far it goes.
+`emulator.work` counts from that what any cell would have to do.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
@@ -22,6 +10,7 @@ The Visual Computer 5, 1989).
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -29,27 +18,27 @@ from numpy.typing import NDArray
 
 from raygrid.node.births import bear_primaries, new_cursor
 from raygrid.node.camera import entry, eye_ray, image_point
-from raygrid.node.compiled import lean, part
-from raygrid.node.hierarchy import DEPTH, LEAF_BIT, WORDS
+from raygrid.node.compiled import lean
+from raygrid.node.hierarchy import DEPTH
 from raygrid.node.holdings import build_surfaces
-from raygrid.node.lanes import WIDE, push_boxes
-from raygrid.node.lattice import T_MIN, Cell, Space, cell_index, coordinate, make_cell, make_space, nearest
+from raygrid.node.lattice import T_MIN, Cell, Space, make_cell, make_space
 from raygrid.node.packets import LATTICE, PRIMARY, SHADOW, SIZE, read_u16, read_u24, read_u32, unit_vector
 from raygrid.node.pixels import make_pixels
 from raygrid.node.shading import light_direction, place
-from raygrid.node.step import HEAD, edge_colour, make_outputs, step
-from raygrid.node.surfaces import SurfaceSet, merge
+from raygrid.node.step import HEAD, Outputs, edge_colour, make_outputs, step
+from raygrid.node.surfaces import STORED_AS, Batch, Kind, SurfaceSet, merge
 from raygrid.node.tables import COUNTS, Frame, Surfaces
 from raygrid.node.traverse import closest
 from raygrid.node.walk import SELF, SELF_RAYS, inverse, passage
 
 F64 = NDArray[np.float64]
+Bytes = NDArray[np.uint8]
 ACROSS = 48  # pilot rays along a side of the picture
 MOST_RAYS = 200_000  # rays followed, whatever lights and mirrors there are
-CHUNK = 16_384  # packets in a call
-
-# Microseconds of a node: least squares over the counts and busy seconds of 96 nodes (six scenes at 512x512 on 2x2x2).
-WALK, BOX, HIT, PRIMARY_BORN, HOP, RETURNED, TAKEN_IN = 0.08, 0.05, 0.13, 0.15, 0.08, 0.05, 0.07
+CHUNK = 8192  # packets in a call
+ROOM = 65_536  # packets that an output holds
+MOST_SURFACES = 20_000  # a hierarchy of these is built in 25 ms
+LARGEST = 2_000  # of them, how many are kept for their size
 
 # columns of Rays.facts
 T_END, IS_PRIMARY, SHADED, RETURNS, FACTS = 3, 4, 5, 6, 7
@@ -71,29 +60,34 @@ class Rays(NamedTuple):
 class Pilot(NamedTuple):
     """What was seen of a frame.
 
-    surfaces  of the whole scene, or of a part that stands for it, in one cell
+    surfaces  the hierarchy of the whole scene, or of a part that stands for it
+    boxes     of these surfaces, float64 (n, 2, 3); each stands for `each` of the scene
+    step      of the lattice, on each axis
     share     samples of the frame for each one of the pilot
     """
 
     rays: Rays
     surfaces: Surfaces
+    boxes: F64
+    each: float
     step: tuple[float, float, float]
     share: float
 
 
-def fly(step_of_axes: tuple[float, float, float], surfaces: SurfaceSet, frame: Frame, across: int = ACROSS) -> Pilot:
+def fly(steps: tuple[float, float, float], surfaces: SurfaceSet, frame: Frame, across: int = ACROSS) -> Pilot:
     """Trace a coarse grid of the frame's rays through surfaces in machine coordinates."""
-    space = make_space(step_of_axes, [[0, LATTICE]] * 3)
+    space = make_space(steps, [[0, LATTICE]] * 3)
     cell = make_cell(space, (0, 0, 0))
     coarse = coarse_frame(frame, across)
-    built = build_surfaces(merge(surfaces), cell)
-    rays = _trace(space, cell, coarse, built)
+    chosen = stand_ins(surfaces)
+    boxes = np.concatenate([batch.bounds() for batch in chosen])
+    built = build_surfaces(chosen, cell)
     share = frame.width * frame.height * frame.samples / (coarse.width * coarse.height)
-    return Pilot(rays, built, step_of_axes, share)
+    return Pilot(_trace(space, cell, coarse, built), built, boxes, len(surfaces) / len(boxes), steps, share)
 
 
 def coarse_frame(frame: Frame, across: int) -> Frame:
-    """The same view with few pixels, in arrays of the types that kernels were compiled for."""
+    """The same view with few pixels, in arrays of the types for which kernels were compiled."""
     width, height = min(frame.width, across), min(frame.height, across)
     wide, high = frame.width / width, frame.height / height
     camera = np.array(frame.camera, np.float64, order="C")
@@ -101,67 +95,107 @@ def coarse_frame(frame: Frame, across: int) -> Frame:
         camera[at] += (0.5 * wide - 0.5) * camera[along] + (0.5 * high - 0.5) * camera[down]
         camera[along] *= wide
         camera[down] *= high
-    return frame._replace(
-        camera=camera,
-        materials=np.array(frame.materials, np.float64, order="C"),
-        lights=np.array(frame.lights, np.float64, order="C"),
-        width=width,
-        height=height,
-        samples=1,
-    )
+    materials, lights = (np.array(table, np.float64, order="C") for table in (frame.materials, frame.lights))
+    return frame._replace(camera=camera, materials=materials, lights=lights, width=width, height=height, samples=1)
+
+
+# --- a part of a large scene -----------------------------------------------------------------------------
+
+
+def stand_ins(surfaces: SurfaceSet, most: int = MOST_SURFACES) -> SurfaceSet:
+    """At most about this many surfaces that stand for all: the largest, and every so manieth of the others, made
+    larger to cover twice the area of those that they stand for (then a ray misses one in e^2)."""
+    if len(surfaces) <= most:
+        return merge(surfaces)
+    sizes = [_sizes(batch) for batch in surfaces]
+    limit = np.partition(np.concatenate(sizes), len(surfaces) - LARGEST)[len(surfaces) - LARGEST]
+    stride = math.ceil(len(surfaces) / (most - LARGEST))
+    chosen = []
+    for batch, size in zip(surfaces, sizes, strict=True):
+        large = np.flatnonzero(size > limit)  # fewer than LARGEST, none if all are of one size
+        others = np.arange(0, len(batch), stride)
+        chosen += [batch.select(large), _enlarged(batch.select(others[size[others] <= limit]), math.sqrt(2 * stride))]
+    return merge(chosen)
+
+
+def _sizes(batch: Batch) -> NDArray[np.floating]:
+    """A length of each surface, cheap to work out for a million."""
+    data = batch.data
+    if batch.kind not in (Kind.TRIANGLE, Kind.SMOOTH):
+        boxes = batch.bounds()
+        edges: F64 = (boxes[:, 1] - boxes[:, 0]).max(axis=1)
+        return edges
+    size = np.zeros(len(data), data.dtype)
+    for column in range(3, 9):
+        np.maximum(size, np.abs(data[:, column] - data[:, column % 3]), out=size)
+    return size
+
+
+def _enlarged(batch: Batch, factor: float) -> Batch:
+    """Each surface made larger about its middle."""
+    data = batch.data.astype(np.float64)
+    if len(batch) == 0:
+        return batch
+    if batch.kind == Kind.POLYGON:
+        counts = np.diff(batch.starts)
+        middles = np.repeat(np.add.reduceat(data, batch.starts[:-1]) / counts[:, None], counts, axis=0)
+        data = middles + (data - middles) * factor
+    elif batch.kind == Kind.SPHERE:
+        data[:, 3] *= factor
+    else:
+        points = [slice(0, 3), slice(3, 6), slice(6, 9)]
+        if batch.kind in (Kind.CYLINDER, Kind.CONE):
+            points = [slice(0, 3), slice(4, 7)]
+            data[:, [3, 7]] *= factor
+        middle = sum(data[:, point] for point in points) / len(points)
+        for point in points:
+            data[:, point] = middle + (data[:, point] - middle) * factor
+    return Batch(batch.kind, batch.ids, batch.materials, data.astype(STORED_AS[batch.kind]), batch.starts)
+
+
+# --- the rays --------------------------------------------------------------------------------------------
 
 
 def _trace(space: Space, cell: Cell, frame: Frame, surfaces: Surfaces) -> Rays:
-    """Every ray of the frame, generation by generation."""
+    """Every ray of the frame, generation by generation, until none is left or MOST_RAYS are done."""
     pixels = make_pixels(frame, space, cell)
-    outputs = make_outputs(CHUNK * (frame.n_lights + 2), DEPTH)
-    counts = np.zeros(COUNTS, np.int64)
+    outputs = make_outputs(max(ROOM, 2 * (frame.n_lights + 2)), DEPTH)
+    counts, ports = np.zeros(COUNTS, np.int64), np.full(CHUNK, SELF, np.uint8)
     room = frame.width * frame.height
-    packets = np.zeros(room * SIZE, np.uint8)
-    born = bear_primaries(
-        cell, space, frame, pixels, new_cursor(len(pixels.first) > 0), packets, 0, room, counts
-    )
-    ports = np.full(CHUNK, SELF, np.uint8)
-    waiting, found, total = [packets[: born * SIZE]], [], 0
+    first = np.zeros(room * SIZE, np.uint8)
+    born = bear_primaries(cell, space, frame, pixels, new_cursor(len(pixels.first) > 0), first, 0, room, counts)
+    waiting = _pieces(first[: born * SIZE])
+    found: list[Rays] = [_no_rays(0)]
+    total = 0
     while waiting and total < MOST_RAYS:
-        bytes_ = waiting.pop(0)
-        many = min(len(bytes_) // SIZE, CHUNK)
-        if len(bytes_) > many * SIZE:
-            waiting.insert(0, bytes_[many * SIZE :])
-        if many == 0:
-            continue
-        head = bytes_[: many * SIZE]
-        found.append(_recorded(space, cell, frame, surfaces, outputs.stack, head, counts))
-        done = step(cell, space, frame, surfaces, pixels, head, ports, 0, many, outputs, counts)
-        assert done == many
-        shadows, others = (
-            outputs.data[output, HEAD : HEAD + int(outputs.held[output]) * SIZE].copy() for output in (SELF, SELF_RAYS)
-        )
-        outputs.held[:] = 0
-        for first in range(0, len(shadows), CHUNK * SIZE):
-            found.append(
-                _recorded(space, cell, frame, surfaces, outputs.stack, shadows[first : first + CHUNK * SIZE], counts)
-            )
-        waiting.append(others)
-        total += many + len(shadows) // SIZE
-    if not found:
-        return Rays(np.zeros((0, 3), np.int64), np.zeros((0, 3), np.int64), np.zeros((0, FACTS)))
+        packets = waiting.pop(0)
+        many = len(packets) // SIZE
+        done = step(cell, space, frame, surfaces, pixels, packets, ports, 0, many, outputs, counts)
+        if done < many:  # the outputs are full
+            waiting.insert(0, packets[done * SIZE :].copy())
+        shadows, others = (_taken(outputs, output) for output in (SELF, SELF_RAYS))
+        for piece in (packets[: done * SIZE], *_pieces(shadows)):
+            rays = _no_rays(len(piece) // SIZE)
+            _record(space, cell, frame, surfaces, outputs.stack, piece, rays, counts)
+            found.append(rays)
+            total += len(rays.facts)
+        waiting += _pieces(others)
     return Rays(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
-def _recorded(
-    space: Space,
-    cell: Cell,
-    frame: Frame,
-    surfaces: Surfaces,
-    stack: NDArray[np.int64],
-    packets: NDArray[np.uint8],
-    counts: NDArray[np.int64],
-) -> Rays:
-    many = len(packets) // SIZE
-    rays = Rays(np.zeros((many, 3), np.int64), np.zeros((many, 3), np.int64), np.zeros((many, FACTS)))
-    _record(space, cell, frame, surfaces, stack, packets, rays, counts)
-    return rays
+def _taken(outputs: Outputs, output: int) -> Bytes:
+    """What the step has put on an output, which is empty then."""
+    packets = outputs.data[output, HEAD : HEAD + int(outputs.held[output]) * SIZE].copy()
+    outputs.held[output] = 0
+    return packets
+
+
+def _pieces(packets: Bytes) -> list[Bytes]:
+    return [packets[at : at + CHUNK * SIZE] for at in range(0, len(packets), CHUNK * SIZE)]
+
+
+def _no_rays(many: int) -> Rays:
+    return Rays(np.zeros((many, 3), np.int64), np.zeros((many, 3), np.int64), np.zeros((many, FACTS)))
 
 
 @lean
@@ -198,146 +232,3 @@ def _record(space, cell, frame, surfaces, stack, packets, rays, counts):
         rays.facts[k, IS_PRIMARY] = kind == PRIMARY
         rays.facts[k, SHADED] = item >= 0 and kind != SHADOW
         rays.facts[k, RETURNS] = returns
-
-
-class Weights(NamedTuple):
-    """Cost of each piece of work, in any unit; WALK and so on above are microseconds of a node."""
-
-    walk: float = WALK
-    box: float = BOX
-    hit: float = HIT
-    primary: float = PRIMARY_BORN
-    hop: float = HOP
-    returned: float = RETURNED
-    taken_in: float = TAKEN_IN
-
-
-class Work(NamedTuple):
-    """Running sums over a grid of planes, nx x ny x nz voxels.
-
-    done     float64 (nx + 1, ny + 1, nz + 1): work in all voxels before
-    crossed  float64 (3, 2, nx + 1, ny + 1, nz + 1): of each axis, upwards and downwards, cost of crossings of a
-             plane (its own index along the axis) in all voxels before along the two others
-    """
-
-    done: F64
-    crossed: F64
-
-
-def tally(pilot: Pilot, grid: Space, weights: Weights = Weights()) -> Work:
-    """The pilot's work over a grid of planes."""
-    nx, ny, nz = grid.shape
-    work = Work(np.zeros((nx + 1, ny + 1, nz + 1)), np.zeros((3, 2, nx + 1, ny + 1, nz + 1)))
-    stack = np.zeros(DEPTH, np.int64)
-    rays, facts = pilot.rays, weights
-    _tally(rays, pilot.surfaces, stack, grid, Weights(*map(float, facts)), work)
-    return work
-
-
-def run_sums(work: Work) -> None:
-    """Make running sums of what was tallied, in place."""
-    for axis in range(3):
-        np.cumsum(work.done, axis=axis, out=work.done)
-        for other in range(3):
-            if other != axis:
-                np.cumsum(work.crossed[axis], axis=other + 1, out=work.crossed[axis])
-
-
-@part
-def _next_plane(grid, axis, voxel, o, inv):
-    """(time of the plane by which a ray leaves its voxel along an axis, the plane's index)."""
-    index = voxel + 1 if inv >= 0.0 else voxel
-    return (coordinate(grid.planes[axis, index], grid.step[axis]) - o) * inv, index
-
-
-@lean
-def _tally(rays, surfaces, stack, grid, weights, work):
-    """Walk every ray through the grid. Voxel (i, j, k) is counted at (i + 1, j + 1, k + 1), for running sums."""
-    for r in range(len(rays.facts)):
-        facts = rays.facts[r]
-        o = place((rays.origins[r, 0], rays.origins[r, 1], rays.origins[r, 2]), grid.step)
-        d = (facts[0], facts[1], facts[2])
-        inv = (inverse(d[0]), inverse(d[1]), inverse(d[2]))
-        x = cell_index(grid.planes, 0, grid.shape[0], rays.origins[r, 0])
-        y = cell_index(grid.planes, 1, grid.shape[1], rays.origins[r, 1])
-        z = cell_index(grid.planes, 2, grid.shape[2], rays.origins[r, 2])
-        work.done[x + 1, y + 1, z + 1] += weights.walk + weights.primary * facts[IS_PRIMARY]
-        end = facts[T_END]
-        cost = weights.walk + weights.hop
-        while True:
-            at_x, plane_x = _next_plane(grid, 0, x, o[0], inv[0])
-            at_y, plane_y = _next_plane(grid, 1, y, o[1], inv[1])
-            at_z, plane_z = _next_plane(grid, 2, z, o[2], inv[2])
-            if at_x <= at_y and at_x <= at_z:  # ties as in `walk.passage`
-                if at_x > end or plane_x == 0 or plane_x == grid.shape[0]:
-                    break
-                work.crossed[0, 0 if inv[0] >= 0.0 else 1, plane_x, y + 1, z + 1] += cost
-                x += 1 if inv[0] >= 0.0 else -1
-            elif at_y <= at_z:
-                if at_y > end or plane_y == 0 or plane_y == grid.shape[1]:
-                    break
-                work.crossed[1, 0 if inv[1] >= 0.0 else 1, x + 1, plane_y, z + 1] += cost
-                y += 1 if inv[1] >= 0.0 else -1
-            else:
-                if at_z > end or plane_z == 0 or plane_z == grid.shape[2]:
-                    break
-                work.crossed[2, 0 if inv[2] >= 0.0 else 1, x + 1, y + 1, plane_z] += cost
-                z += 1 if inv[2] >= 0.0 else -1
-        work.done[x + 1, y + 1, z + 1] += weights.hit * facts[SHADED]
-        if facts[RETURNS] != 0.0:
-            _go_home(rays, r, grid, x, y, z, weights, work)
-        if weights.box > 0.0 and len(surfaces.floats) > 0:
-            _open_boxes(surfaces, stack, grid, o, d, inv, end, weights, work)
-
-
-@part
-def _go_home(rays, r, grid, x, y, z, weights, work):
-    """A return packet goes along x to its home's x, then along y, then along z (`walk.towards_cell`)."""
-    to_x = cell_index(grid.planes, 0, grid.shape[0], rays.homes[r, 0])
-    to_y = cell_index(grid.planes, 1, grid.shape[1], rays.homes[r, 1])
-    to_z = cell_index(grid.planes, 2, grid.shape[2], rays.homes[r, 2])
-    work.done[x + 1, y + 1, z + 1] += weights.returned
-    work.done[to_x + 1, to_y + 1, to_z + 1] += weights.taken_in
-    up = 0 if to_x > x else 1
-    for plane in range(min(x, to_x) + 1, max(x, to_x) + 1):
-        work.crossed[0, up, plane, y + 1, z + 1] += weights.hop
-    up = 0 if to_y > y else 1
-    for plane in range(min(y, to_y) + 1, max(y, to_y) + 1):
-        work.crossed[1, up, to_x + 1, plane, z + 1] += weights.hop
-    up = 0 if to_z > z else 1
-    for plane in range(min(z, to_z) + 1, max(z, to_z) + 1):
-        work.crossed[2, up, to_x + 1, to_y + 1, plane] += weights.hop
-
-
-@part
-def _open_boxes(surfaces, stack, grid, o, d, inv, end, weights, work):
-    """Count each node of the hierarchy that a ray opens where it enters the node's box."""
-    most = 1e18
-    ray = (
-        np.float32(o[0]),
-        np.float32(o[1]),
-        np.float32(o[2]),
-        np.float32(min(max(inv[0], -most), most)),
-        np.float32(min(max(inv[1], -most), most)),
-        np.float32(min(max(inv[2], -most), most)),
-    )
-    near = (
-        np.int64(0 if inv[0] >= 0.0 else 3 * WIDE),
-        np.int64(WIDE if inv[1] >= 0.0 else 4 * WIDE),
-        np.int64(2 * WIDE if inv[2] >= 0.0 else 5 * WIDE),
-    )
-    high = np.float32(min(end, most))
-    stack[0] = 0
-    top = np.int64(1)
-    while top > 0:
-        top -= 1
-        key = stack[top]
-        child = key & 0xFFFFFFFF
-        t = np.float64(np.uint32(key >> 32).view(np.float32))
-        if child >= LEAF_BIT:
-            continue
-        top += push_boxes(surfaces.floats, child * WORDS, near, ray, np.float32(T_MIN), high, stack, top)
-        x = cell_index(grid.planes, 0, grid.shape[0], nearest(o[0] + t * d[0], grid.step[0]))
-        y = cell_index(grid.planes, 1, grid.shape[1], nearest(o[1] + t * d[1], grid.step[1]))
-        z = cell_index(grid.planes, 2, grid.shape[2], nearest(o[2] + t * d[2], grid.step[2]))
-        work.done[x + 1, y + 1, z + 1] += weights.box

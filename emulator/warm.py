@@ -12,18 +12,20 @@ from collections.abc import Callable
 import numpy as np
 from numba.core import event
 
-from raygrid.node.lattice import make_space
+from raygrid.node.lattice import World, make_space
 from raygrid.node.misses import add_missed
 from raygrid.node.packets import LATTICE
 from raygrid.node.surfaces import STORED_AS, Batch, Kind, SurfaceSet
 from raygrid.node.tables import LIGHT_COLUMNS, MATERIAL_COLUMNS, Frame
 
 from .memory_array import MemoryArray
+from .split import split
+from .work import is_cached
 
 Report = Callable[[int, int, str], None]
 
 
-KERNELS = 183  # functions that a first run compiles (counted); one more or less moves only the progress bar
+KERNELS = 208  # functions that a first run compiles (counted); one more or less moves only the progress bar
 
 
 class Compilations(event.Listener):
@@ -47,7 +49,8 @@ def warm(report: Report) -> None:
     """Call every kernel once. `report(done, total, what)` is called at the start, after each function that was
     compiled ("compiling ..."), and at the end; of what is in the cache it hears nothing."""
     report(0, KERNELS, "loading kernels")
-    with event.install_listener("numba:compile", Compilations(report)):
+    compilations = Compilations(report)
+    with event.install_listener("numba:compile", compilations):
         array = MemoryArray((2, 1, 1))
         half = LATTICE // 2
         space = make_space((2.0**-24, 2.0**-24, 2.0**-24), [[0, half, LATTICE], [0, LATTICE], [0, LATTICE]])
@@ -57,6 +60,8 @@ def warm(report: Report) -> None:
         array.driver.trace(frame)
         sums, _ = array.driver.collect(frame.width * frame.height)
         add_missed(frame, space.step, sums)
+        if compilations.done or not is_cached():  # nodes do not need these, so they are not loaded for them
+            split("balanced", (2, 1, 1), World(np.zeros(3), 1.0, space.step), _one_of_each(), frame)
     report(KERNELS, KERNELS, "ready")
 
 

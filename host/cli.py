@@ -31,6 +31,7 @@ Examples:
   raygrid render scenes/glass.toml --array 3x3x3 --size 800x600 --samples 4 -o glass.png
   raygrid render balls.nff --split uniform -o balls.npy --stats balls.json
   raygrid info scenes/room.glb
+  raygrid export scenes/kinds.nff -o kinds.pov
 """
 RENDER_EXAMPLES = """\b
 Examples:
@@ -46,6 +47,11 @@ INFO_EXAMPLES = """\b
 Examples:
   raygrid info scenes/room.glb
   raygrid info --json bunny.ply
+"""
+EXPORT_EXAMPLES = """\b
+Examples:
+  raygrid export scenes/kinds.nff
+  raygrid export scenes/room.glb --depth 3 -o room.pov
 """
 
 
@@ -171,17 +177,18 @@ def info(scene: str, as_json: bool) -> None:
     SCENE is a file of one of these kinds: .nff .obj .ply .stl .glb .gltf .toml
     """
     from raygrid.host.load import load_scene
+    from raygrid.host.outputs import write_result
     from raygrid.host.scene import describe
 
     facts = describe(load_scene(scene))
-    click.echo(json.dumps(facts, indent=2) if as_json else "\n".join(_lines(facts)))
+    write_result(json.dumps(facts, indent=2) if as_json else "\n".join(_lines(facts)))
 
 
-@cli.command()
+@cli.command(epilog=EXPORT_EXAMPLES)
 @click.argument("scene", type=click.Path())
 @click.option("--depth", type=Number(1, 31), metavar="N", help="As for render.  [default: the scene's, else 5]")
 @click.option("--highlights/--no-highlights", default=None, help="As for render.  [default: off for NFF, else on]")
-@click.option("-o", "--output", type=click.Path(), metavar="FILE", help="[default: the scene's name with .pov, here]")
+@click.option("-o", "--output", type=click.Path(), metavar="FILE", help="The file to write.  [default: the scene's name with .pov, here]")
 @_debug_option
 def export(scene: str, depth: int | None, highlights: bool | None, output: str | None) -> None:
     """Write a scene file for POV-Ray 3.7.
@@ -189,8 +196,9 @@ def export(scene: str, depth: int | None, highlights: bool | None, output: str |
     POV-Ray renders the same picture from it, by the same rules; the head of the file says what differs.
     """
     from raygrid.host.export import export_file
+    from raygrid.host.outputs import write_result
 
-    click.echo(export_file(scene, output, depth, highlights))
+    write_result(export_file(scene, output, depth, highlights))
 
 
 def _lines(facts: dict[str, Any], indent: str = "") -> Iterator[str]:
@@ -235,11 +243,11 @@ def _end(number: int, _frame: Any) -> None:
 
 @contextlib.contextmanager
 def _signals_as_exceptions() -> Iterator[None]:
-    """SIGTERM and SIGHUP end the program as Ctrl-C does: by way of everything that has to be cleaned up."""
+    """Ctrl-C, SIGTERM and SIGHUP end the program by way of everything that has to be cleaned up."""
     before = {}
-    for number in (signal.SIGTERM, signal.SIGHUP):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         with contextlib.suppress(ValueError):  # not in the main thread
-            if signal.getsignal(number) is signal.SIG_DFL:
+            if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
                 before[number] = signal.signal(number, _end)
     try:
         yield
@@ -253,7 +261,6 @@ def _run(arguments: list[str]) -> int:
     try:
         with _signals_as_exceptions():
             code = cli.main(args=arguments, prog_name="raygrid", standalone_mode=False)
-            sys.stdout.flush()
         return code if isinstance(code, int) else 0
     except click.exceptions.Exit as end:
         return end.exit_code
@@ -265,15 +272,10 @@ def _run(arguments: list[str]) -> int:
         command = "raygrid" if context is None else context.command_path
         _say(f"{command}: {_misused(error)} ({command} --help says more)")
         return 2
-    except (KeyboardInterrupt, click.exceptions.Abort):
-        _say("raygrid: stopped")
-        return 128 + signal.SIGINT
     except Ended as error:
-        _say(f"raygrid: ended by {signal.Signals(error.number).name}")
+        name = signal.Signals(error.number).name
+        _say("raygrid: stopped" if error.number == signal.SIGINT else f"raygrid: ended by {name}")
         return 128 + error.number
-    except BrokenPipeError:  # `raygrid info scene | head -1`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # so that closing standard output at exit says nothing
-        return 1
     except Exception as error:
         _say(_told(error))
         return 1

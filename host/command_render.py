@@ -10,10 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from raygrid.emulator.array import Array
-from raygrid.host.outputs import check_different, check_path, check_picture_path, check_side
+from raygrid.host.outputs import check_different, check_path, check_picture_path, check_side, write_result
 from raygrid.host.progress import Talk
 
 if TYPE_CHECKING:
@@ -61,9 +59,10 @@ def run_render(request: Request) -> None:
             save_stats(request.stats, picture.stats)
         if picture.stats["total"]["hits"] == 0:
             talk.remark("no ray of the camera meets a surface: the picture shows the background only")
-        talk.say(_summary(picture))
+        for line in _summary(picture):
+            talk.say(line)
     for output in request.outputs:
-        click.echo(output)
+        write_result(output)
 
 
 def _render(request: Request, talk: Talk, begun: float) -> Picture:
@@ -115,15 +114,14 @@ def default_outputs(scene: str) -> tuple[str, ...]:
     return (Path(scene).stem + ".png",)
 
 
-def _summary(picture: Picture) -> str:
-    """One line: what was traced, and the wall seconds of this computer (not of the machine of 1983)."""
+def _summary(picture: Picture) -> tuple[str, str]:
+    """What was traced, and the wall seconds of this computer (not of the machine of 1983)."""
     from raygrid.host.stats import ray_counts
 
     seconds, counts = picture.stats["wall_seconds"], ray_counts(picture.stats)
     rays = ", ".join(f"{count:,} {kind}" for kind, count in counts.items() if count) or "no"
-    rate = sum(counts.values()) / max(seconds["trace"], 1e-9)
+    rate = sum(counts.values()) / max(seconds["trace"], 1e-9) / 1e6
     return (
-        f"{rays} rays, {picture.stats['total']['hops']:,} hops; "
-        f"wall seconds: trace {seconds['trace']:.2f} ({rate / 1e6:.2f} million rays a second), "
-        f"whole {seconds['whole']:.2f}"
+        f"{rays} rays; {picture.stats['total']['hops']:,} hops",
+        f"traced in {seconds['trace']:.2f} s of wall time ({rate:.2f} million rays/s), {seconds['whole']:.2f} s in all",
     )

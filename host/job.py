@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import operator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,8 +63,10 @@ class Job:
         return self.frame.width * self.frame.height
 
 
-def make_job(scene: Scene, shape: tuple[int, int, int], settings: Settings) -> Job:
-    """Raises SceneError for settings that cannot be."""
+def make_job(
+    scene: Scene, shape: tuple[int, int, int], settings: Settings, wait: Callable[[], None] | None = None
+) -> Job:
+    """Raises SceneError for settings that cannot be. `wait`: as of `raygrid.emulator.split.split`."""
     if len(scene.surfaces) == 0:
         raise SceneError(f"{scene.name}: the scene has no surfaces")
     if settings.split not in SPLITS:
@@ -71,7 +74,7 @@ def make_job(scene: Scene, shape: tuple[int, int, int], settings: Settings) -> J
     world = world_around(scene.surfaces.bounds())
     surfaces = world.surfaces(scene.surfaces)
     frame = _frame(scene, world, settings)
-    space = split(settings.split, shape, world, surfaces, frame)
+    space = split(settings.split, shape, world, surfaces, frame, wait)
     return Job(scene, world, space, surfaces, frame, settings)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from pathlib import Path
 
@@ -28,7 +29,7 @@ def load_scene(path: str | Path) -> Scene:
     if not str(path) or "\0" in str(path):
         raise SceneError(f"a scene came as {str(path)!r}, wanted the name of a file")
     path = Path(path)
-    if path.is_dir():
+    if os.path.isdir(path):
         raise SceneError(f"{path}: the scene is a directory, wanted a file of one of: {' '.join(READERS)}")
     reader = READERS.get(path.suffix.lower())
     if reader is None:

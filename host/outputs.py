@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
+import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -38,7 +39,7 @@ FORMATS = {
 def check_picture_path(path: str | Path) -> None:
     """Raise OutputError if a picture (or .npy) can surely not be written there: asked before the work, not after."""
     suffix = Path(path).suffix.lower()
-    if os.fspath(path) and not Path(path).is_dir() and suffix != SUMS and suffix not in FORMATS:
+    if os.fspath(path) and not os.path.isdir(path) and suffix != SUMS and suffix not in FORMATS:
         came = f"the suffix {suffix!r}" if suffix else "no suffix"
         raise OutputError(f"{path}: the output has {came}, wanted one of: {' '.join((*FORMATS, SUMS))}")
     check_path(path)
@@ -49,19 +50,22 @@ def check_path(path: str | Path) -> None:
     name = os.fspath(path)
     if not name or "\0" in name:
         raise OutputError(f"an output came as {name!r}, wanted the name of a file")
-    target = Path(os.path.realpath(path))
-    if target.is_dir():
+    target = os.path.realpath(path)
+    folder = os.path.dirname(target)
+    if os.path.isdir(target):
         raise OutputError(f"{path}: the output is a directory, wanted a file")
-    if not target.parent.is_dir():
-        raise OutputError(f"{path}: there is no directory {target.parent}, wanted one that is there")
-    if target.exists() and not os.access(target, os.W_OK):
+    if not os.path.isdir(folder):
+        raise OutputError(f"{path}: there is no directory {folder}, wanted one that is there")
+    if os.path.exists(target) and not os.access(target, os.W_OK):
         raise OutputError(f"{path}: the output is write-protected, wanted a file that may be replaced")
-    if target.exists() and not target.is_file():
+    if os.path.exists(target) and not os.path.isfile(target):
         return
     try:  # what access() says of a directory is no proof: file systems can be mounted read-only, or be no real ones
-        tempfile.TemporaryFile(dir=target.parent).close()
+        with contextlib.suppress(FileNotFoundError):
+            os.stat(target)
+        tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
-        raise OutputError(f"{path}: no file can be made in {target.parent} ({error.strerror})") from None
+        raise OutputError(f"{path}: no such file can be made in {folder} ({error.strerror})") from None
 
 
 def check_side(path: str | Path, width: int, height: int) -> None:
@@ -75,7 +79,7 @@ def check_side(path: str | Path, width: int, height: int) -> None:
 
 def check_different(scene: str, outputs: Sequence[str]) -> None:
     """Raise OutputError if one file would be written twice, or the scene be written over."""
-    taken = {os.path.realpath(scene): "the scene"}
+    taken = {os.path.realpath(scene): "the scene"} if "\0" not in scene else {}
     for output in outputs:
         place = os.path.realpath(output)
         if place in taken:
@@ -105,3 +109,13 @@ def write_whole(path: str | Path, write: Callable[[BinaryIO], None]) -> None:
             raise
     except OSError as error:
         raise OutputError(f"{path}: the file cannot be written ({error.strerror or error})") from None
+
+
+def write_result(line: str) -> None:
+    """Write a line to standard output. Raises OutputError if it cannot be written; what nobody reads is no error."""
+    try:
+        print(line, flush=True)
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # so that closing it at the end says nothing
+        if not isinstance(error, BrokenPipeError):
+            raise OutputError(f"standard output cannot be written ({error.strerror})") from None

@@ -58,6 +58,7 @@ class Talk:
         if self._bar is not None:
             self._bar.remove_task(self._task)  # a task once given a total cannot be without one again
             self._task = self._bar.add_task(what, total=total, detail="")
+            self._bar.refresh()  # now, or a short phase would never be seen
 
     def remark(self, text: str) -> None:
         """A line on the scene or the picture that stays, terminal or not."""

@@ -1,0 +1,355 @@
+"""Bad input of every kind: one clear line, exit code 1 (failed) or 2 (misused), nothing left behind.
+
+Where, what came, what was wanted: each row of these tables has the whole line as a pattern.
+"""
+
+import json
+import os
+import re
+import resource
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from raygrid.host import outputs
+from support_cli import TINY, as_process, here, warm_kernels
+from support_render import SCENES
+
+__all__ = ["warm_kernels"]
+
+pytestmark = pytest.mark.usefixtures("no_leftovers")
+
+GOOD = Path(TINY).read_text()
+HEAD = "v from 0 -6 2 at 0 0 0 up 0 0 1 angle 40 hither 1 resolution 32 32\nl 1 1 9\nf 1 1 1 1 0 0 0 0\n"
+KEYWORDS = "b v from at up angle hither resolution l f c s p pp"
+SUFFIXES = ".nff .obj .ply .stl .glb .gltf .toml"
+PICTURES = ".png .jpg .jpeg .webp .tif .tiff .bmp .ppm .npy"
+PLY = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+PLY_FACES = "element face {}\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n"
+RUBBISH = bytes(range(256)) * 40
+GLB = (SCENES / "room.glb").read_bytes()
+TOML_SPHERE = '[[surfaces]]\nkind = "sphere"\ncentre = [0, 0, 0]\nradius = 1\n'
+
+
+def one_line(outcome, code, pattern):
+    """The outcome has this code, nothing on standard output, and one line that is the pattern."""
+    assert outcome.out == ""
+    assert outcome.err.count("\n") == 1, outcome.err
+    assert re.fullmatch(pattern, outcome.err.rstrip("\n")), outcome.err
+    assert outcome.code == code
+
+
+FILES = [  # name, contents, the line that comes after "raygrid: "
+    # cut
+    ("cut.nff", GOOD[: len(GOOD) // 2], "cut.nff, line 13: the file ends inside the polygon that begins here, after 10 numbers of 13"),
+    ("cut.nff", GOOD[:-9], "cut.nff, line 24: the file ends inside the sphere that begins here, after 2 numbers of 4"),
+    ("cut.glb", GLB[: len(GLB) // 2], r"cut.glb: the file has \d+ bytes, but says that it has 206256: it is cut"),
+    ("cut.glb", GLB[:10], "cut.glb: the file ends inside its header, after 10 bytes"),
+    ("cut.gltf", '{"asset": {"ver', r"cut.gltf: the JSON cannot be read \(.+\)"),
+    ("cut.ply", PLY + PLY_FACES.format(2) + "3 0 1 2\n", "cut.ply: the file ends after 4 lines of data, wanted 5"),
+    ("cut.stl", bytes(80) + struct.pack("<I", 2) + bytes(50), "cut.stl: the file has 134 bytes, wanted 184 for its 2 facets"),
+    ("cut.stl", "solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\n", "cut.stl: the file ends inside facet 1, wanted .+"),
+    ("cut.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2", "cut.obj, line 4: .+2.+3.*"),
+    ("cut.toml", "[camera]\nfrom = [0, 1", r"cut.toml: the TOML cannot be read \(.+\)"),
+    # empty
+    ("empty.nff", "", "empty.nff: the file is empty, wanted a viewpoint and surfaces"),
+    ("empty.obj", "", "empty.obj: the file has no faces, wanted at least one"),
+    ("empty.ply", "", "empty.ply: .+"),
+    ("empty.stl", "", "empty.stl: the file has 0 bytes, wanted an STL file of at least 84"),
+    ("empty.glb", "", "empty.glb: .+"),
+    ("empty.gltf", "", "empty.gltf: .+"),
+    ("empty.toml", "", "empty.toml: the file has no surfaces, wanted at least one surface"),
+    # scenes without anything to see
+    ("none.nff", HEAD, "none.nff: the file has no surfaces, wanted at least one of s c p pp"),
+    ("none.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "none.obj: the file has no faces, wanted at least one"),
+    ("none.ply", PLY + PLY_FACES.format(0), "none.ply: the file has no faces, wanted at least one"),
+    ("none.stl", bytes(84), "none.stl: the file has no facets, wanted at least one"),
+    ("none.gltf", '{"asset": {"version": "2.0"}}', "none.gltf: .+"),
+    ("flat.nff", HEAD + "p 3 0 0 0 1 1 1 2 2 2", "flat.nff: the file has only 1 surface without area, wanted at least one surface"),
+    ("flat.obj", "v 0 0 0\nv 1 1 1\nv 2 2 2\nf 1 2 3\n", "flat.obj: the file has only 1 surface without area, wanted .+"),
+    ("blind.nff", "s 0 0 0 1", r"blind.nff: the file has no viewpoint, wanted one \(v from at up angle hither resolution\)"),
+    # numbers
+    ("nan.nff", HEAD + "s 0 0 nan 1", "nan.nff, line 4: came 'nan', wanted a finite number"),
+    ("inf.nff", HEAD + "s 0 -inf 0 1", "inf.nff, line 4: came '-inf', wanted a finite number"),
+    ("big.nff", HEAD + "s 0 0 1e40 1", "big.nff, line 4: came 1e[+]40, wanted at most 1e30"),
+    ("zero.nff", HEAD + "s 0 0 0 0", "zero.nff, line 4: a sphere's radius must not be 0, came: 0 0 0 0"),
+    ("nan.obj", "v 0 0 0\nv 1 nan 0\nv 0 1 0\nf 1 2 3\n", "nan.obj, line 2: came '1 nan 0', wanted finite numbers of at most 1e30"),
+    ("nan.ply", PLY + PLY_FACES.format(1).replace("1 0 0", "1 nan 0") + "3 0 1 2\n", "nan.ply: .+"),
+    ("nan.stl", bytes(84)[:80] + struct.pack("<I12fH", 1, *[float("nan")] * 12, 0), "nan.stl: .+"),
+    ("nan.toml", TOML_SPHERE.replace("[0, 0, 0]", "[0, nan, 0]"), r"nan.toml, line 3: surfaces\[0\].centre\[1\] is nan, wanted a finite number"),
+    # cameras
+    ("same.nff", HEAD.replace("at 0 0 0", "at 0 -6 2") + "s 0 0 0 1", r"same.nff, line 1: the camera looks from \(0, -6, 2\) at that same point, wanted two different points"),
+    ("up.nff", HEAD.replace("up 0 0 1", "up 0 6 -2") + "s 0 0 0 1", r"up.nff, line 1: the camera's up \(0, 6, -2\) is parallel to its view, wanted another direction"),
+    ("angle.nff", HEAD.replace("angle 40", "angle 180") + "s 0 0 0 1", "angle.nff, line 1: the camera's angle is 180 degrees, wanted more than 0 and less than 180"),
+    ("size.nff", HEAD.replace("32 32", "0 0") + "s 0 0 0 1", "size.nff, line 1: the resolution must be two whole numbers from 1 to 65535, came: 0 0"),
+    ("same.toml", TOML_SPHERE + "[camera]\nfrom = [1, 1, 1]\nat = [1, 1, 1]\n", "same.toml, line 5: camera .+two different points"),
+    # not what it says it is
+    ("word.nff", HEAD + "s 0 0 0 1\nq 1 2 3", f"word.nff, line 5: came the unknown word 'q', wanted one of {KEYWORDS}"),
+    ("latin.nff", HEAD.encode() + b"s 0 0 0 \xe91", rf"latin.nff, line 4: came the unknown word '\\\\xe91', wanted one of {KEYWORDS}"),
+    ("long.nff", HEAD + "s 0 0 0 " + "1" * 10_000_000, r"long.nff, line 4: came '1{37}\.\.\.', wanted a finite number"),
+    ("long.nff", HEAD + "s 0 0 0 1 " + "z" * 10_000_000, r"long.nff, line 4: came the unknown word 'z{37}\.\.\.', wanted .+"),
+    ("index.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "index.obj, line 4: came the corner '9', but the file has 3 v, 0 vt and 0 vn"),
+    ("index.ply", PLY + PLY_FACES.format(1) + "3 0 1 7\n", "index.ply: a face has the vertex 7, wanted numbers from 0 to 2"),
+    ("binary.nff", RUBBISH, "binary.nff, line 1: came .+ before any keyword, wanted one of .+"),
+    ("binary.obj", RUBBISH, "binary.obj: .+"),
+    ("binary.ply", RUBBISH, "binary.ply: this is no PLY file, wanted a header from 'ply' to 'end_header'"),
+    ("binary.stl", RUBBISH, r"binary.stl: the file has 10240 bytes, wanted \d+ for its \d+ facets"),
+    ("binary.glb", RUBBISH, "binary.glb: .+"),
+    ("binary.gltf", RUBBISH, "binary.gltf: .+"),
+    ("binary.toml", RUBBISH, r"binary.toml: the TOML cannot be read \(.+\)"),
+    ("key.toml", TOML_SPHERE + "colour = 1\n", r"key.toml, line 5: the key surfaces\[0\].colour is unknown, wanted one of: .+"),
+    ("text.toml", TOML_SPHERE.replace("= 1", '= "one"'), r"text.toml, line 4: surfaces\[0\].radius is 'one', wanted a valid number"),
+    ("kind.toml", TOML_SPHERE.replace("sphere", "cube"), r"kind.toml, line \d: surfaces\[0\].kind is 'cube', wanted one of: .+"),
+    ("mesh.toml", '[[meshes]]\nfile = "gone.ply"\n', r"mesh.toml, line 2: meshes\[0\].file cannot be placed: .*gone.ply: there is no such file"),
+    ("base.toml", 'include = "gone.nff"\n', ".*gone.nff: there is no such file"),
+    ("scene.xyz", GOOD, f"scene.xyz: the file has the suffix '.xyz', wanted one of: {SUFFIXES}"),
+    ("scene", GOOD, f"scene: the file has no suffix, wanted one of: {SUFFIXES}"),
+]
+
+
+@pytest.mark.parametrize(("name", "contents", "line"), FILES, ids=[f"{k}-{row[0]}" for k, row in enumerate(FILES)])
+def test_scene_files(name, contents, line, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    scene = tmp_path / name
+    scene.write_bytes(contents if isinstance(contents, bytes) else contents.encode())
+    one_line(here("render", name, "-o", "x.png", "-o", "x.npy", "--stats", "x.json"), 1, f"raygrid: {line}")
+    assert list(tmp_path.iterdir()) == [scene]
+    one_line(here("info", name), 1, f"raygrid: {line}")
+
+
+NO_FILES = [
+    ("gone.nff", "gone.nff: there is no such file"),
+    ("gone/scene.obj", "gone/scene.obj: there is no such file"),
+    ("folder.nff", f"folder.nff: the scene is a directory, wanted a file of one of: {SUFFIXES}"),
+    (".", f".: the scene is a directory, wanted a file of one of: {SUFFIXES}"),
+    ("", "a scene came as '', wanted the name of a file"),
+    ("a\0b.nff", r"a scene came as 'a\\x00b.nff', wanted the name of a file"),
+    ("a" * 300 + ".nff", r"a{300}.nff: the file cannot be read \(File name too long\)"),
+]
+
+
+@pytest.mark.parametrize(("name", "line"), NO_FILES, ids=[ascii(row[0][:20]) for row in NO_FILES])
+def test_scenes_that_are_no_files(name, line, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("folder.nff").mkdir()
+    one_line(here("render", name, "-o", "x.png"), 1, f"raygrid: {line}")
+    one_line(here("info", name), 1, f"raygrid: {line}")
+    assert [path.name for path in tmp_path.iterdir()] == ["folder.nff"]
+
+
+WHOLE, SIDES = "wanted a whole number from", "wanted sides of 1 to 65536"
+CUBE = "wanted three numbers from 1 to 65535, such as 4x4x4, or 4x4x1 for a square array"
+MISUSE = [  # arguments after "raygrid render SCENE", the line between "raygrid render: " and where to read more
+    (["--size", "0x0"], f"--size: '0x0' came, {SIDES}"),
+    (["--size", "5x0"], f"--size: '5x0' came, {SIDES}"),
+    (["--size", "-5x5"], "--size: '-5x5' came, wanted two whole numbers such as 512x384"),
+    (["--size", "512"], "--size: '512' came, wanted two whole numbers such as 512x384"),
+    (["--size", "1e3x1e3"], "--size: '1e3x1e3' came, wanted two whole numbers such as 512x384"),
+    (["--size", "9" * 5000 + "x1"], rf"--size: '9{{37}}\.\.\.' came, {SIDES}"),
+    (["--samples", "0"], f"--samples: '0' came, {WHOLE} 1 to 4294967296"),
+    (["--samples", "many"], f"--samples: 'many' came, {WHOLE} 1 to 4294967296"),
+    (["--samples", "1.5"], f"--samples: '1.5' came, {WHOLE} 1 to 4294967296"),
+    (["--samples", "9" * 30], f"--samples: '9{{30}}' came, {WHOLE} 1 to 4294967296"),
+    (["--depth", "0"], f"--depth: '0' came, {WHOLE} 1 to 31"),
+    (["--depth", "32"], f"--depth: '32' came, {WHOLE} 1 to 31"),
+    (["--min-weight", "nan"], r"--min-weight: 'nan' came, wanted a number from 0.0 to 1e\+30"),
+    (["--min-weight", "-1"], r"--min-weight: '-1' came, wanted a number from 0.0 to 1e\+30"),
+    (["--batch", "0"], f"--batch: '0' came, {WHOLE} 1 to 8192"),
+    (["--budget", "0"], f"--budget: '0' came, {WHOLE} 1 to 4294967295"),
+    (["--patience", "inf"], "--patience: 'inf' came, wanted a number from 0.1 to 1000000000.0"),
+    (["--array", "0x2x2"], f'--array: array shape "0x2x2" has 0 cells on an axis, {CUBE}'),
+    (["--array", "2x2"], f'--array: array shape "2x2" has 2 parts, {CUBE}'),
+    (["--array", "axbxc"], f'--array: array shape "axbxc" has "a" for a number, {CUBE}'),
+    (["--array", "-1x2x2"], f'--array: array shape "-1x2x2" has "-1" for a number, {CUBE}'),
+    (["--split", "fair"], "--split: 'fair' is not one of 'balanced', 'uniform'."),
+    (["--transfer", "gamma"], "--transfer: 'gamma' is not one of 'srgb', 'linear'."),
+    (["--sise", "4"], r"No such option '?--sise'?\..*--size.*"),
+    (["other.nff"], r"Got unexpected extra argument \(other.nff\)"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "line"), MISUSE, ids=[" ".join(row[0])[:30] for row in MISUSE])
+def test_misused_options(arguments, line, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    one_line(here("render", TINY, *arguments), 2, rf"raygrid render: {line} \(raygrid render --help says more\)")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_misused_commands():
+    one_line(here("rendr"), 2, r"raygrid: No such command 'rendr'\..* \(raygrid --help says more\)")
+    one_line(here("render"), 2, r"raygrid render: Missing argument 'SCENE'\. \(raygrid render --help says more\)")
+    one_line(here("render", TINY, "--size"), 2, r"raygrid.*: Option '--size' requires an argument\. .*")
+    one_line(here("info", TINY, "--samples", "3"), 2, r"raygrid info: No such option '?--samples'?.*")
+
+
+TOO_MUCH = [  # arguments, the line
+    (["--size", "100000x100000"], "a size came as 100000x100000, wanted sides of 1 to 65536 and at most 268,435,456 pixels"),
+    (["--size", "40000x40000"], "a size came as 40000x40000, wanted sides of 1 to 65536 and at most 268,435,456 pixels"),
+    (["--samples", "4000000000"], r"4000000000 samples a pixel came, wanted 1 to 65536 for 256x256 \(sample numbers have 32 bits\)"),
+    (["--array", "1000x1000x1000"], r"a 1000x1000x1000 array does not fit this computer: its 1000000000 processors need .+, and .+ leaves .+; largest that fits: (\d+)x\1x\1"),
+    (["--size", "20000x100", "-o", "x.webp"], "x.webp: the picture has 20000x100 pixels, wanted sides of at most 16383 for WEBP"),
+    (["--size", "100x65501", "-o", "x.jpg"], "x.jpg: the picture has 100x65501 pixels, wanted sides of at most 65500 for JPEG"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "line"), TOO_MUCH, ids=[" ".join(row[0]) for row in TOO_MUCH])
+def test_what_is_too_large(arguments, line, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    one_line(here("render", TINY, *arguments), 1, f"raygrid: {line}")
+    assert list(tmp_path.iterdir()) == []
+
+
+OUTPUTS = [  # arguments, the line
+    (["-o", "gone/x.png"], r"gone/x.png: there is no directory .*/gone, wanted one that is there"),
+    (["-o", "."], ".: the output is a directory, wanted a file"),
+    (["-o", "folder.png"], "folder.png: the output is a directory, wanted a file"),
+    (["-o", ""], "an output came as '', wanted the name of a file"),
+    (["-o", "x"], f"x: the output has no suffix, wanted one of: {PICTURES}"),
+    (["-o", "x.xyz"], f"x.xyz: the output has the suffix '.xyz', wanted one of: {PICTURES}"),
+    (["-o", "x.h5"], f"x.h5: the output has the suffix '.h5', wanted one of: {PICTURES}"),
+    (["-o", "/proc/x.png"], r"/proc/x.png: no such file can be made in /proc \(.+\)"),
+    (["-o", "a" * 300 + ".png"], r"a{300}.png: no such file can be made in .+ \(File name too long\)"),
+    (["-o", "x.png", "-o", "x.png"], "x.png: the output is the same file as the output x.png, wanted another"),
+    (["-o", "x.npy", "--stats", "x.npy"], "x.npy: the output is the same file as the output x.npy, wanted another"),
+    (["-o", "x.png", "--stats", "tiny.nff"], "tiny.nff: the output is the same file as the scene, wanted another"),
+    (["-o", "x.png", "--stats", "."], ".: the output is a directory, wanted a file"),
+    (["-o", "x.png", "--stats", "gone/x.json"], "gone/x.json: there is no directory .*/gone, wanted one that is there"),
+    (["-o", "locked.png"], "locked.png: the output is write-protected, wanted a file that may be replaced"),
+    (["-o", "locked/x.png"], r"locked/x.png: no such file can be made in .*/locked \(Permission denied\)"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "line"), OUTPUTS, ids=[" ".join(row[0])[:40] for row in OUTPUTS])
+def test_outputs_are_looked_at_before_anything_is_done(arguments, line, tmp_path, monkeypatch):
+    if "locked" in line and os.geteuid() == 0:
+        pytest.skip("nothing is write-protected for root")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("raygrid.host.command_render.Array", None)  # would be called to render
+    (tmp_path / "tiny.nff").write_text(GOOD)
+    (tmp_path / "folder.png").mkdir()
+    (tmp_path / "locked").mkdir(mode=0o555)
+    (tmp_path / "locked.png").touch(mode=0o444)
+    one_line(here("render", "tiny.nff", *arguments), 1, f"raygrid: {line}")
+    assert {path.name for path in tmp_path.iterdir()} == {"tiny.nff", "folder.png", "locked", "locked.png"}
+
+
+@pytest.mark.usefixtures("warm_kernels")
+@pytest.mark.parametrize("name", ["full.png", "full.npy"])
+def test_a_full_disk(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path(name).symlink_to("/dev/full")
+    one_line(here("render", TINY, "--size", "9x9", "-o", name), 1, rf"raygrid: {name}: the file cannot be written \(No space left on device\)")
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.usefixtures("warm_kernels")
+def test_a_disk_that_fills_up_leaves_no_part_of_a_file(tmp_path):
+    """As a limit on the size of files, which are larger than that at 200x200 pixels."""
+
+    def limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+
+    outcome = as_process("render", TINY, "--size", "200x200", "-o", "x.npy", cwd=tmp_path, preexec_fn=limit)
+    one_line(outcome, 1, r"raygrid: x.npy: the file cannot be written \(File too large\)")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_cannot_replace_another_is_removed(tmp_path, monkeypatch):
+    def refuse(_source, _target):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(os, "replace", refuse)
+    with pytest.raises(outputs.OutputError, match=r"x\.npy: the file cannot be written \(Permission denied\)$"):
+        outputs.write_whole(tmp_path / "x.npy", lambda file: file.write(b"x"))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_temporary_directory_is_unusable(tmp_path, monkeypatch):
+    """Directories for sockets are tried in turn; the line names each with what is wrong. /tmp is the last resort, so
+    it has to be made unusable, too."""
+    deep = tmp_path / ("d" * 100)
+    deep.mkdir()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(deep))
+    monkeypatch.setattr("raygrid.emulator.places.bases", lambda: [str(deep), "/proc", str(tmp_path / "gone")])
+    outcome = here("render", TINY, "-o", str(tmp_path / "x.png"))
+    too_long = rf"{deep} \(its socket paths would have \d+ bytes, at most 107 are allowed\)"
+    line = rf"raygrid: no directory for the sockets of the array: {too_long}, /proc \(.+\), .*/gone \(No such file or directory\); wanted .+: set XDG_RUNTIME_DIR or TMPDIR"
+    one_line(outcome, 1, line)
+
+
+@pytest.mark.usefixtures("warm_kernels")
+def test_a_temporary_directory_that_is_unusable_is_passed_over(tmp_path):
+    """If it is too deep for sockets, or no file can be made there."""
+    deep = tmp_path / ("d" * 100)
+    deep.mkdir()
+    for unusable in (str(deep), "/proc"):
+        environment = {"TMPDIR": unusable, "XDG_RUNTIME_DIR": unusable}
+        outcome = as_process("render", TINY, "--size", "9x9", "-o", "x.png", cwd=tmp_path, environment=environment)
+        assert outcome == (0, "x.png\n", "")
+
+
+@pytest.mark.parametrize("descriptors", [40, 130])
+def test_few_descriptors(descriptors, tmp_path):
+    def limit():
+        resource.setrlimit(resource.RLIMIT_NOFILE, (descriptors, descriptors))
+
+    outcome = as_process("render", TINY, "--array", "3x3x3", "-o", "x.png", cwd=tmp_path, preexec_fn=limit)
+    fits = r"(nothing fits|largest that fits: \dx\dx\d)"
+    one_line(outcome, 1, rf"raygrid: a 3x3x3 array does not fit this computer: its 27 processors need \d+ descriptors in the host, and RLIMIT_NOFILE \(ulimit -n\) leaves {descriptors}; {fits}")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_standard_output_that_is_full():
+    with open("/dev/full", "w") as full:
+        outcome = as_process("info", TINY, stdout=full)
+    assert outcome.code == 1
+    assert re.fullmatch(r"raygrid: standard output cannot be written \(No space left on device\)\n", outcome.err)
+
+
+# ---- errors of our own, and --debug ----
+
+
+@pytest.mark.parametrize("where", ["before", "after", "variable"])
+def test_debug_shows_the_traceback(where, monkeypatch):
+    monkeypatch.setenv("RAYGRID_DEBUG", "1" if where == "variable" else "")
+    arguments = {"before": ["--debug", "info", "gone.nff"], "after": ["info", "gone.nff", "--debug"]}
+    outcome = here(*arguments.get(where, ["info", "gone.nff"]))
+    assert outcome.code == 1
+    assert outcome.err.startswith("Traceback (most recent call last):\n")
+    assert outcome.err.endswith("\nraygrid: gone.nff: there is no such file\n")
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (ZeroDivisionError("division\nby zero"), r"a bug: ZeroDivisionError: division by zero \(raygrid --debug shows where\)"),
+        (MemoryError(), "out of memory"),
+    ],
+    ids=["bug", "memory"],
+)
+def test_other_errors_are_one_line_too(error, line, monkeypatch):
+    def fail(_path):
+        raise error
+
+    monkeypatch.setattr("raygrid.host.load.load_scene", fail)
+    one_line(here("info", TINY), 1, f"raygrid: {line}")
+
+
+def test_a_picture_larger_than_the_memory(monkeypatch, tmp_path):
+    """Told before the kernel would end a process for it."""
+    from raygrid.emulator.limits import Bound, Resources
+
+    plenty = Bound(1 << 40, "no limit")
+    few = Resources(plenty, plenty, plenty, Bound(5_000_000, "memory.max of the control group"))
+    monkeypatch.setattr("raygrid.host.render.read_resources", lambda: few)
+    outcome = here("render", TINY, "--size", "1000x1000", "-o", str(tmp_path / "x.png"))
+    one_line(outcome, 1, r"raygrid: a picture of 1000x1000 pixels needs 0\.1 GB of memory, and memory\.max of the control group leaves 0\.0 GB")
+
+
+def test_numbers_as_numpy_writes_them_are_no_obstacle(tmp_path):
+    """`.npy` in, statistics in JSON out: both are read back by strangers."""
+    output, stats = tmp_path / "x.npy", tmp_path / "x.json"
+    assert here("render", TINY, "--size", "5x4", "-o", str(output), "--stats", str(stats)).code == 0
+    assert np.load(output, allow_pickle=False).shape == (4, 5, 3)
+    assert json.loads(stats.read_text())["size"] == [5, 4]
