@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
+# an editable install says at length that folders here are named as packages are: they are meant to be
+PIP    := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet
 
 .DEFAULT_GOAL := help
 .PHONY: help render test test-long style types check bench clean
@@ -12,12 +14,12 @@ help: ## list the targets
 
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --editable '.[test]'
+	$(PIP) --upgrade pip
+	$(PIP) --editable '.[test]'
 	@touch $@
 
 $(VENV)/.dev: $(STAMP)
-	$(BIN)/python -m pip install --quiet --editable '.[test,dev]'
+	$(PIP) --editable '.[test,dev]'
 	@touch $@
 
 render: $(STAMP) ## render a room with a mirror ball and a glass ball on a 2x2x2 array

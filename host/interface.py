@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -14,6 +15,8 @@ from raygrid.host.load import load_scene
 from raygrid.host.picture import Picture
 from raygrid.host.render import Watch, render_job
 from raygrid.host.scene import Scene
+
+MOST_BATCH = 8192  # packets; their message stays far below the longest that a link takes
 
 __all__ = ["Machine", "Picture", "Scene", "launch", "load_scene"]
 
@@ -69,7 +72,11 @@ def launch(
     shape     processors on each axis, "2x2x2" or (2, 2, 2)
     batch     most packets a message
     patience  seconds without any progress after which the array is taken to hang
-    Raises ValueError for a shape that is none, TooLarge for one that does not fit this computer.
+    Raises ValueError for what none of these can be, TooLarge for an array that does not fit this computer.
     """
+    if not 1 <= batch <= MOST_BATCH:
+        raise ValueError(f"a batch came as {batch}, wanted 1 to {MOST_BATCH} packets")
+    if not 0.0 < patience < math.inf:
+        raise ValueError(f"a patience came as {patience}, wanted seconds above 0")
     cells = parse_shape(shape if isinstance(shape, str) else "x".join(map(str, shape)))
     return Machine(Array.launch(cells, batch=batch, patience=patience))

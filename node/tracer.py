@@ -66,9 +66,12 @@ class Tracer:
         return len(own)
 
     def build(self) -> SurfaceSet:
-        """Make the tables of the ray step from what is retained; returns it as one batch a kind."""
+        """Make the tables of the ray step from what is retained; returns it as one batch a kind.
+
+        In the order of ids, for that of arrival differs from run to run, and with it leaves, tests and machine time.
+        """
         assert self.cell is not None
-        held = merge(self.retained)
+        held = SurfaceSet(tuple(batch.select(np.argsort(batch.ids)) for batch in merge(self.retained)))
         self.retained = list(held)
         self.surfaces = build_surfaces(held, self.cell)
         return held
