@@ -23,7 +23,7 @@ from raygrid.node.errors import ArrayError, LostProcess, RaygridError
 
 from .launch import Ended, Nursery, Warming
 from .limits import check_fits
-from .places import Index, Place, endpoint, host_endpoint
+from .places import Index, Place, endpoint, host_endpoint, process_state
 
 if TYPE_CHECKING:
     from raygrid.node.pair import Pair
@@ -109,7 +109,7 @@ class Array:
         self._poller.register(self._nursery.fileno(), zmq.POLLIN)
         links = host_links(self.shape, self._pairs, machine, EPOCH)
         patience = PATIENCE if self.patience is None else self.patience
-        self._driver = Driver(self.shape, links, self._pump, patience)
+        self._driver = Driver(self.shape, links, self._pump, patience, self._why_silent)
         self._driver.ready()
 
     def _configs(self, machine: str) -> list[dict[str, Any]]:
@@ -153,6 +153,18 @@ class Array:
         for link in self.driver.links.values():
             if link.choked:
                 link.push()
+
+    def _why_silent(self) -> str:
+        """Which nodes do not run, and why: "node 1,0,0 (pid 17) is stopped"."""
+        from .topology import indices
+
+        states = {"T": "stopped", "t": "stopped by a debugger", "Z": "dead", "D": "waiting for the kernel"}
+        found = []
+        for pid, index in zip(self.pids, indices(self.shape), strict=True):
+            state = states.get(process_state(pid))
+            if state is not None:
+                found.append(f"node {','.join(map(str, index))} (pid {pid}) is {state}")
+        return "; ".join(found[:8])
 
     def _take_events(self) -> None:
         assert self._nursery is not None

@@ -22,13 +22,24 @@ from raygrid.node.link import Link, State
 from raygrid.node.messages import MessageKind, check_packets, pack_surfaces, read_order
 from raygrid.node.orders import frame_order, space_order
 from raygrid.node.packets import KINDS, PIXEL, PRIMARY, read_pixels
-from raygrid.node.processor import COLLECTING, HANDED_ON, HOMES_LEFT, RECEIVED, REFUSED, WAITING, read_sums
+from raygrid.node.processor import (
+    ALLOWED,
+    COLLECTING,
+    DATA_DONE,
+    DATA_SENT,
+    HANDED_ON,
+    HOMES_LEFT,
+    RECEIVED,
+    REFUSED,
+    WAITING,
+    read_sums,
+)
 from raygrid.node.step import HEAD
 from raygrid.node.surfaces import Batch, Kind, SurfaceSet
 from raygrid.node.tables import BORN, DIED, Frame
 
 CHUNK_BYTES = 1 << 16  # surfaces in a message
-BUDGET = 262_144  # packets in flight below which primaries are admitted
+BUDGET = 262_144  # packets in flight below which primaries are admitted, and so the most primaries alive (`bounds`)
 PATIENCE = 30.0  # seconds without any progress after which the array is taken to hang
 HOLD = 0.02  # seconds for which a busy node may hold a wave, and a millisecond more for every node
 # seconds that a node waits for more packets: so long for every node that a processor of this computer carries, at most
@@ -66,7 +77,12 @@ class Driver:
         links: dict[int, Link],
         pump: Callable[[float], None],
         patience: float = PATIENCE,
+        why_silent: Callable[[], str] = lambda: "",
     ) -> None:
+        self._why_silent = why_silent
+        self._answered = True  # whether the last wave has come back
+        self._quiet = True  # whether nothing of an unfinished pass or load can be under way
+        self._settling = False
         self.shape, self.links, self._pump, self.patience = shape, links, pump, patience
         self.nodes = shape[0] * shape[1] * shape[2]
         self._processors = len(os.sched_getaffinity(0))
@@ -94,6 +110,8 @@ class Driver:
                 raise ProtocolError(f"link {link.name}: {arrival.kind.name} came, which a node never sends to the host")
 
     def _take_pixels(self, message: bytes, count: int) -> None:
+        if self._settling:
+            return
         if self._sums is None or self._samples is None:
             raise ProtocolError(f"{count} pixel packets came, but no frame is being collected")
         pixels, sums, samples = read_pixels(message, HEAD, len(self._samples))
@@ -107,11 +125,14 @@ class Driver:
 
     def wave(self, order: dict[str, Any]) -> dict[str, Any]:
         """Send an order over the array and wait for the answer of all. Raises Stuck, ProtocolError, LostProcess."""
+        if not self._answered:  # the caller gave up waiting for the last one
+            self._wait(lambda: self._answer is not None, "the order before came back")
         self._wave_number += 1
         self.waves += 1
-        self._answer = None
+        self._answer, self._answered = None, False
         self.links[0].send_order(MessageKind.DOWN, {**order, "wave": self._wave_number})
         self._wait(lambda: self._answer is not None, f"the order {order['do']!r} came back")
+        self._answered = True
         answer: dict[str, Any] = self._answer  # type: ignore[assignment]
         sums = answer["sums"] = read_sums(answer).tolist()
         if answer.get("wave") != self._wave_number:
@@ -129,7 +150,35 @@ class Driver:
             if received != seen:
                 since, seen = time.monotonic(), received
             elif time.monotonic() - since > self.patience:
-                raise Stuck(f"nothing came from the array for {self.patience:g} seconds while waiting until {what}")
+                why = self._why_silent()
+                raise Stuck(
+                    f"nothing came from the array for {self.patience:g} seconds while waiting until {what}"
+                    + (f"; {why}" if why else "")
+                )
+
+    def _settle(self) -> None:
+        """Drop what an unfinished pass or load has left under way, so that nothing of it comes into the next one.
+
+        Nodes that are halted send no packets or surfaces. So when all that were sent have been received, as told by
+        a wave that began after all nodes were halted, none is under way.
+        """
+        if self._quiet:
+            return
+        self._settling = True
+        try:
+            self.wave({"do": "halt"})
+            since = time.monotonic()
+            while True:
+                sums = self.wave({"do": "halt"})["sums"]
+                sent = sums[DATA_SENT] + sum(link.data_sent for link in self.links.values())
+                done = sums[DATA_DONE] + sum(link.data_done for link in self.links.values())
+                if sent == done:
+                    break
+                if time.monotonic() - since > self.patience:
+                    raise Stuck(f"of {sent} messages with packets or surfaces {done} were received")
+        finally:
+            self._settling = False
+        self._quiet = True
 
     # --- loading -------------------------------------------------------------------------------------
 
@@ -139,6 +188,8 @@ class Driver:
 
     def load(self, space: Space, surfaces: SurfaceSet) -> None:
         """Deal surfaces (machine coordinates) over the corners, and wait until every node has built its tables."""
+        self._settle()
+        self._quiet = False
         self.wave(space_order(space))
         dealt = 0
         for corner, batch in _deal(surfaces, corners(self.shape)):
@@ -153,11 +204,14 @@ class Driver:
             if sums[RECEIVED] == dealt + sums[HANDED_ON]:
                 break
         self.wave({"do": "build"})
+        self._quiet = True
 
     # --- tracing -------------------------------------------------------------------------------------
 
     def trace(self, frame: Frame, budget: int = BUDGET, progress: Callable[[Progress], None] | None = None) -> Progress:
         """Trace a pass to completion: two successive waves with equal sums, born = died, nothing left to admit."""
+        self._settle()
+        self._quiet = False
         answer = self.wave(frame_order(frame))
         hold = HOLD + 0.001 * self.nodes
         before: Progress | None = None
@@ -171,11 +225,12 @@ class Driver:
             if now != before:
                 moved = time.monotonic()
             elif now.homes_left == 0 and now.in_flight == 0:
+                self._quiet = True
                 return now
             elif time.monotonic() - moved > self.patience:
                 raise Stuck(self._why_stuck(now))
+            quota = _quota(budget, now, before, answer["sums"][ALLOWED])
             before = now
-            quota = max(0, budget - now.in_flight) // max(now.homes_left, 1)
             answer = self.wave({"do": "trace", "quota": quota, "hold": hold, **self._gathering(now)})
 
     def _gathering(self, now: Progress) -> dict[str, Any]:
@@ -204,6 +259,7 @@ class Driver:
 
     def collect(self, pixels: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """(sums (pixels, 3) in fixed point, samples (pixels,)) of the pass, from the homes by way of the corners."""
+        self._quiet = False
         self._sums, self._samples = np.zeros((pixels, 3), np.int64), np.zeros(pixels, np.int64)
         self._pixels_received = 0
         order: dict[str, Any] = {"do": "collect"}
@@ -221,6 +277,7 @@ class Driver:
             raise ArrayError(f"{self._pixels_received} pixel packets came, {born} were born")
         result = self._sums, self._samples
         self._sums = self._samples = None
+        self._quiet = True
         return result
 
     # --- other ---------------------------------------------------------------------------------------
@@ -243,6 +300,25 @@ def _progress(sums: list[int]) -> Progress:
         tuple(sums[DIED : DIED + KINDS]),
         sums[HOMES_LEFT],
     )
+
+
+def _quota(budget: int, now: Progress, before: Progress | None, allowed: int) -> int:
+    """How many primaries each home may bear next, if it may not bear more than that already.
+
+    What a wave counts is no picture of one moment: a packet may be counted dead where it died and not yet born where
+    it was born. But every death of the wave before last was counted before any birth of the last one, so births now
+    less deaths before are at least the packets in flight between the two waves, and each primary whose tree of rays
+    is still alive is one of them or has a descendant there. With the primaries that homes may still bear, that is
+    all that can become alive without a further order; what is left of the budget is shared out. So the primaries
+    whose trees are alive are never more than the budget, or than the homes if there are more of these: where nothing
+    is in flight each home may bear one.
+    """
+    in_flight = sum(now.born) - (sum(before.died) if before is not None else 0)
+    if now.homes_left == 0:
+        return 0
+    if in_flight == 0 and allowed == 0:
+        return max(1, budget // now.homes_left)
+    return max(0, budget - in_flight - allowed) // now.homes_left
 
 
 def _deal(surfaces: SurfaceSet, places: dict[int, tuple[int, int, int]]) -> Iterator[tuple[int, Batch]]:

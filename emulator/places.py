@@ -143,6 +143,15 @@ def process_mark(pid: int) -> str | None:
     return f"{pid} {started} {_namespace()}"
 
 
+def process_state(pid: int) -> str:
+    """The state of a process as the kernel's letter: R, S, D, T, t or Z; "" if there is no such process."""
+    try:
+        with open(f"/proc/{pid}/stat", "rb") as file:
+            return file.read().rpartition(b")")[2].split()[0].decode()
+    except (OSError, IndexError):
+        return ""
+
+
 def _namespace() -> str:
     try:
         return os.readlink("/proc/self/ns/pid")

@@ -4,8 +4,9 @@
 each node would have to do, and searches for the planes by which the busiest has least (`emulator.work`). The same
 scene, camera, settings and shape always give the same planes, and the picture is the same for any planes.
 
-Without a camera, or if its rays meet nothing, planes lie at quantiles of the surfaces: each slab between two planes
-has about as many as the next. Where an axis has more than MOST_CELLS cells, they lie at quantiles of where rays begin.
+Without a camera, for a very small picture, or if no ray enters the world box, planes lie at quantiles of the surfaces:
+each slab between two planes has about as many as the next. Where an axis has more than MOST_CELLS cells, they lie at
+quantiles of where rays begin.
 """
 
 from __future__ import annotations
@@ -29,6 +30,9 @@ SLICES = 4096  # resolution of a measure along an axis
 SPACE_SHARE = 0.1  # of every measure, spread evenly over the world box: empty space is walked too
 GRID = 48  # planes to choose from on an axis
 MOST_CELLS = 16  # on an axis, for which planes are searched
+# Fewer primary and first shadow rays are traced in less time than a pilot costs a process that has just started: 0.05 s,
+# and 0.4 s of processor time to import and load what it needs, most of it while the nursery does the same beside it.
+WORTHWHILE = 1 << 18
 
 
 def split(
@@ -51,12 +55,16 @@ def split(
     planes: Sequence[Line] | None = None
     if kind == "uniform" or shape == (1, 1, 1):
         planes = [_uniform(cells) for cells in shape]
-    elif frame is not None:
+    elif frame is not None and _rays(frame) >= WORTHWHILE:
         planes = _when_compiled(lambda: _by_pilot(shape, world, surfaces, frame), wait)
     if planes is None:
         boxes = np.concatenate([batch.bounds() for batch in surfaces])
         planes = [_quantiles(cells, of) for cells, of in zip(shape, _of_surfaces(boxes, world), strict=True)]
     return make_space(world.step, [line.tolist() for line in planes])
+
+
+def _rays(frame: Frame) -> int:
+    return frame.width * frame.height * frame.samples * (1 + frame.n_lights)
 
 
 def _when_compiled(work: Callable[[], Sequence[Line] | None], wait: Callable[[], None] | None) -> Sequence[Line] | None:

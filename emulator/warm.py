@@ -61,7 +61,13 @@ def warm(report: Report) -> None:
         sums, _ = array.driver.collect(frame.width * frame.height)
         add_missed(frame, space.step, sums)
         if compilations.done or not is_cached():  # nodes do not need these, so they are not loaded for them
-            split("balanced", (2, 1, 1), World(np.zeros(3), 1.0, space.step), _one_of_each(), frame)
+            split(
+                "balanced",
+                (2, 1, 1),
+                World(np.zeros(3), 1.0, space.step),
+                _one_of_each(),
+                frame._replace(samples=1 << 18),
+            )
     report(KERNELS, KERNELS, "ready")
 
 

@@ -60,9 +60,7 @@ class Stack:
 
     def clear(self) -> None:
         """Forget everything, and give large buffers back."""
-        most = self.most_held
         self.__init__()  # type: ignore[misc]
-        self.most_held = most
 
 
 @kernel
@@ -112,6 +110,12 @@ class Backlog:
     def size(self) -> int:
         """Size of the stacks' buffers."""
         return sum(len(stack.ports) for stack in self.stacks) * BYTES_A_PACKET
+
+    def clear(self) -> None:
+        """Forget all packets, and the most that waited."""
+        for stack in self.stacks:
+            stack.clear()
+        self.most_held = 0
 
     def set_limits(self, limits: Limits) -> None:
         """What packets of the frame may name."""

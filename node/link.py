@@ -37,6 +37,9 @@ from .packets import SIZE
 from .step import HEAD
 
 
+MESSAGE_OVERHEAD = 250  # bytes, more than a message that waits here takes beside its payload
+
+
 class Channel(Protocol):
     """Carries whole messages in order to one peer, or not at all."""
 
@@ -89,7 +92,7 @@ class Link:
         self.queued: deque[tuple[MessageKind, int, bytes]] = deque()
         self.urgent: deque[tuple[MessageKind, bytes]] = deque()
         self.messages_sent = self.bytes_sent = self.stale = 0
-        self.most_waiting = 0
+        self.most_waiting = self.most_waiting_bytes = self._waiting_bytes = 0
         self._post(MessageKind.HELLO, pack_order(self._identity))
 
     # --- sending ---------------------------------------------------------------------------------
@@ -110,8 +113,7 @@ class Link:
 
     def send_data(self, kind: MessageKind, count: int, payload: bytes) -> None:
         """Send packets or surfaces, now or when there is credit."""
-        self.queued.append((kind, count, payload))
-        self.most_waiting = max(self.most_waiting, len(self.queued))
+        self._wait_with(kind, count, payload)
         self.push()
 
     def send_packets(self, row: NDArray[np.uint8], held: int, batch: int) -> None:
@@ -125,8 +127,7 @@ class Link:
         for first in range(0, held, batch):
             many = min(batch, held - first)
             begin = HEAD + first * SIZE
-            self.queued.append((MessageKind.PACKETS, many, row[begin : begin + many * SIZE].tobytes()))
-        self.most_waiting = max(self.most_waiting, len(self.queued))
+            self._wait_with(MessageKind.PACKETS, many, row[begin : begin + many * SIZE].tobytes())
         self.push()
 
     def push(self) -> None:
@@ -142,6 +143,7 @@ class Link:
             if not self._send_now(kind, count, payload):
                 return
             self.queued.popleft()
+            self._waiting_bytes -= len(payload) + MESSAGE_OVERHEAD
 
     def grant(self, messages: int = 1) -> None:
         """Say that this many data messages from the peer have been processed."""
@@ -149,12 +151,27 @@ class Link:
         if self._data_done - self._data_done_told >= WINDOW // 2 and self.state is State.UP:
             self._post(MessageKind.CREDIT, b"")
 
+    def give_up(self) -> None:
+        """Forget the data that waits for credit or room."""
+        self.queued.clear()
+        self._waiting_bytes = 0
+
+    def forget_peaks(self) -> None:
+        """Let the most that waited be counted anew."""
+        self.most_waiting, self.most_waiting_bytes = len(self.queued), self._waiting_bytes
+
     def close(self) -> None:
         """Say BYE; the link is CLOSED when both sides have said and answered it."""
         if self.state in (State.NEW, State.UP):
             self._post(MessageKind.BYE, b"")
             self.state = State.CLOSING
             self._maybe_closed()
+
+    def _wait_with(self, kind: MessageKind, count: int, payload: bytes) -> None:
+        self.queued.append((kind, count, payload))
+        self._waiting_bytes += len(payload) + MESSAGE_OVERHEAD
+        self.most_waiting = max(self.most_waiting, len(self.queued))
+        self.most_waiting_bytes = max(self.most_waiting_bytes, self._waiting_bytes)
 
     def _may_send_data(self) -> bool:
         return self.state == State.UP and self._data_sent - self._credit < WINDOW
@@ -270,6 +287,16 @@ class Link:
     def _maybe_closed(self) -> None:
         if self._bye_heard and self._bye_answered and not self.urgent:
             self.state = State.CLOSED
+
+    @property
+    def data_sent(self) -> int:
+        """Messages with packets or surfaces that were sent so far."""
+        return self._data_sent
+
+    @property
+    def data_done(self) -> int:
+        """Messages with packets or surfaces from the peer that were processed so far."""
+        return self._data_done
 
     @property
     def received(self) -> int:

@@ -12,6 +12,8 @@ comes back, summing. Every node obeys the order and answers once its children ha
     trace     may bear `quota` more primaries                   it is idle, or after `hold` seconds
     collect   send its pixels to the nearest corner             it is idle, or after `hold` seconds
     report    nothing                                           at once, with a record of itself
+    halt      drop all packets and surfaces, those too that     at once; sums tell whether messages are under way
+              still come, until the next space or frame
     end       say BYE on every link                             at once
 """
 
@@ -43,8 +45,8 @@ FLUSH = 256  # packets for which an output is sent although there is work, unles
 CLOGGED = 64  # waiting messages on a link at which no more surfaces are taken in
 
 # sums of a wave: the counts of node.tables, then these
-HOMES_LEFT, WAITING, RECEIVED, HANDED_ON, COLLECTING, REFUSED = range(COUNTS, COUNTS + 6)
-SUMS = COUNTS + 6
+HOMES_LEFT, WAITING, RECEIVED, HANDED_ON, COLLECTING, REFUSED, ALLOWED, DATA_SENT, DATA_DONE = range(COUNTS, COUNTS + 9)
+SUMS = COUNTS + 9
 
 
 class Processor:
@@ -74,6 +76,7 @@ class Processor:
         self._answers: list[dict[str, Any]] = []
         self._deadline = 0.0
         self._received = self._handed_on = 0
+        self._halted = False
         self.refused: Counter[str] = Counter()
         self._cpu_at_frame = 0.0
         self._gather, self.linger, self._flush_at = 0, 0.0, min(FLUSH, batch)
@@ -133,6 +136,8 @@ class Processor:
 
     def _take_packets(self, port: int, link: Link, arrival: Arrival) -> None:
         link.grant()
+        if self._halted:
+            return
         if self.tracer.limits is None:
             self._refuse(f"link {link.name}: packets came before a frame")
             return
@@ -173,6 +178,8 @@ class Processor:
         while self._surfaces and not self._clogged():
             link, arrival = self._surfaces.popleft()
             link.grant()
+            if self._halted:
+                continue
             space, cell = self.tracer.space, self.tracer.cell
             if space is None or cell is None:
                 self._refuse(f"link {link.name}: surfaces came before a space")
@@ -213,24 +220,41 @@ class Processor:
         do = order.get("do")
         if do == "space":
             self.tracer.set_space(read_space(order, self.shape))
+            self._halted = False
             self._branches = {}
             self._received = self._handed_on = 0
             self.refused.clear()
+        elif do in ("build", "frame") and self.tracer.space is None:
+            raise ProtocolError(f"the order {do!r} came before a space")
+        elif do in ("trace", "collect") and self.tracer.frame is None:
+            raise ProtocolError(f"the order {do!r} came before a frame")
         elif do == "build":
             self.tracer.build()
         elif do == "frame":
             self._cpu_at_frame = time.process_time()
             self.tracer.set_frame(read_frame(order))
+            for link in self.links.values():
+                link.forget_peaks()
+            self._halted = False
         elif do == "trace":
             quota = order.get("quota")
             if type(quota) is not int or not 0 <= quota < 2**32:
                 raise ProtocolError(f"a quota came as {quota!r}, wanted a whole number")
-            self.tracer.quota = quota
+            self.tracer.quota = max(self.tracer.quota, quota)
             self._set_pace(order)
         elif do == "collect":
             self.tracer.collecting = 0
+        elif do == "halt":
+            self._halt()
         elif do not in ("ready", "loaded", "report", "end"):
             raise ProtocolError(f"an order came as {do!r}, wanted one that this node knows")
+
+    def _halt(self) -> None:
+        self.tracer.forget_frame()
+        for link in self.links.values():
+            link.give_up()
+        self.refused.clear()
+        self._halted = True
 
     def _set_pace(self, order: dict[str, Any]) -> None:
         """How eagerly to take turns and to send: see `Driver`. Raises ProtocolError."""
@@ -276,6 +300,9 @@ class Processor:
             self._handed_on,
             int(tracer.collecting >= 0),
             sum(self.refused.values()),
+            tracer.quota if tracer.samples_left else 0,
+            sum(link.data_sent for link in self.links.values()),
+            sum(link.data_done for link in self.links.values()),
         ]
         sums = np.concatenate((tracer.counts, extra)).astype("<i8").tobytes()
         answer: dict[str, Any] = {"sums": sums, "nodes": []}
@@ -304,7 +331,7 @@ class Processor:
             "waiting": tracer.backlog.held + int(tracer.outputs.held.sum()),
             "most_waiting": tracer.backlog.most_held,
             "most_queued_messages": max((link.most_waiting for link in self.links.values()), default=0),
-            "memory": tracer.memory,
+            "memory": {**tracer.memory, "links": sum(link.most_waiting_bytes for link in self.links.values())},
             "busy_seconds": round(time.process_time() - self._cpu_at_frame, 6),
             "cpu_seconds": round(time.process_time(), 6),
             "peak_memory": peak_memory(),

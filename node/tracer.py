@@ -6,6 +6,7 @@ import numpy as np
 
 from .backlog import RAYS, SHADOWS, Backlog
 from .births import DONE, bear_primaries, new_cursor
+from .errors import ProtocolError
 from .flood import own_part
 from .hierarchy import DEPTH
 from .holdings import build_surfaces, empty_surfaces
@@ -76,22 +77,32 @@ class Tracer:
         self.surfaces = build_surfaces(held, self.cell)
         return held
 
+    def forget_frame(self) -> None:
+        """Drop the frame with all its packets; the surfaces stay."""
+        self.frame = self.limits = self.pixels = None
+        self.quota, self.collecting, self.samples_left = 0, -1, False
+        self.outputs.held[:] = 0
+        self.backlog.clear()
+
     def set_frame(self, frame: Frame) -> None:
-        """Begin a frame: an empty pixel store, no packets, all counts zero."""
+        """Begin a frame: an empty pixel store, no packets, all counts zero.
+
+        Raises ProtocolError if a surface names a material that the frame does not have.
+        """
         assert self.space is not None and self.cell is not None
+        most = max((int(batch.materials.max()) for batch in self.retained if len(batch)), default=0)
+        if most >= len(frame.materials):
+            raise ProtocolError(f"a frame came with {len(frame.materials)} materials, a surface here has number {most}")
+        self.forget_frame()
         self.frame, self.limits = frame, frame_limits(frame, self.shape)
         self.backlog.set_limits(self.limits)
         self.pixels = make_pixels(frame, self.space, self.cell)
         self.cursor = new_cursor(len(self.pixels.first) > 0)
         self.samples_left = len(self.pixels.first) > 0
         self.counts[:] = 0
-        self.quota, self.collecting = 0, -1
-        self.outputs.held[:] = 0
         room = max(ROOM, 2 * (frame.n_lights + 2))
         if self.outputs.data.shape[1] != HEAD + room * SIZE:
             self.outputs = make_outputs(room, DEPTH)
-        for stack in self.backlog.stacks:
-            stack.clear()
 
     # --- work --------------------------------------------------------------------------------------
 
@@ -180,7 +191,7 @@ class Tracer:
     @property
     def memory(self) -> dict[str, int]:
         """Bytes by use: what the memory bound is about."""
-        surfaces = sum(table.nbytes for table in self.surfaces if table.base is None)  # views are seen twice
+        surfaces = sum({table.ctypes.data: table.nbytes for table in self.surfaces}.values())  # one is seen twice
         described = sum(batch.data.nbytes + batch.ids.nbytes + batch.materials.nbytes for batch in self.retained)
         pixels = 0 if self.pixels is None else self.pixels.sums.nbytes + self.pixels.samples.nbytes
         return {

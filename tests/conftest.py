@@ -13,7 +13,7 @@ from support_processes import MARK, Leftovers, no_leftovers
 
 __all__ = ["no_leftovers"]  # for the single tests of files that start processes
 
-TIMEOUT, SLOW_TIMEOUT = 180, 900  # seconds; a first run compiles
+TIMEOUT, SLOW_TIMEOUT = 300, 900  # seconds; a first run compiles
 
 settings.register_profile("steady", steady(100))
 settings.load_profile("steady")

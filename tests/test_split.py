@@ -29,6 +29,12 @@ Shape = tuple[int, int, int]
 Counts = NDArray[np.float64]
 
 
+@pytest.fixture(autouse=True)
+def always_worthwhile(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The pictures here are small."""
+    monkeypatch.setattr(split_module, "WORTHWHILE", 0)
+
+
 def job_of(name: str, shape: Shape, **settings: object) -> Job:
     return make_job(load_scene(SCENES / name), shape, Settings(**settings))  # type: ignore[arg-type]
 
@@ -109,6 +115,15 @@ def test_nothing_is_estimated_where_there_is_no_choice(monkeypatch: pytest.Monke
     monkeypatch.setattr(split_module, "_by_pilot", refuse)
     job_of("tiny.nff", (1, 1, 1))
     job_of("tiny.nff", (2, 2, 2), split="uniform")
+
+
+def test_a_small_picture_is_split_by_surfaces(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(split_module, "WORTHWHILE", 64 * 64 * 3 + 1)
+    job = job_of("tiny.nff", (2, 2, 2), size=(64, 64))
+    assert len(job.frame.lights) == 2
+    of_surfaces = split("balanced", (2, 2, 2), job.world, job.surfaces)
+    assert job.space.planes.tolist() == of_surfaces.planes.tolist()
+    assert job_of("tiny.nff", (2, 2, 2), size=(64, 65)).space.planes.tolist() != of_surfaces.planes.tolist()
 
 
 def test_a_kind_or_shape_that_cannot_be_is_named() -> None:
