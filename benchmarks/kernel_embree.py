@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
 from raygrid.host.nff import load_nff
 from raygrid.node.compiled import lean
 from raygrid.node.hierarchy import DEPTH

@@ -88,6 +88,12 @@ class Array:
         self._place = Place.create(self.shape)
         self._nursery = Nursery.start(on_warming=self._on_warming, directory=self._place.path)
 
+    def wait_warm(self) -> None:
+        """Wait until the nursery has every kernel, and all that it compiled is in the cache on disk."""
+        if self._nursery is None:
+            raise ArrayError("the array has not begun")
+        self._nursery.wait_warm(WARM_SECONDS)
+
     def wait_ready(self) -> None:
         """Fork the nodes once the nursery is warm, and wait until every link is up."""
         if self._nursery is None or self._place is None:
@@ -98,7 +104,7 @@ class Array:
         from .driver import PATIENCE, Driver
         from .topology import host_links
 
-        self._nursery.wait_warm(WARM_SECONDS)
+        self.wait_warm()
         machine = secrets.token_hex(8)
         self.pids = self._nursery.launch(self._configs(machine))
         self._context = zmq.Context(io_threads=1)

@@ -77,7 +77,7 @@ def _one_of_each() -> SurfaceSet:
     rows = {
         Kind.TRIANGLE: np.array(flat).reshape(1, 9),
         Kind.SMOOTH: np.concatenate((np.array(flat).ravel() + 0.02, np.tile([0.0, 0.0, 1.0], 3))).reshape(1, 18),
-        Kind.POLYGON: np.array(flat + [[-0.3, 0.3, 0.01]]) + 0.05,
+        Kind.POLYGON: np.concatenate((flat, [[-0.3, 0.3, 0.01]])) + 0.05,
         Kind.SPHERE: np.array([[0.0, 0.0, -0.2, 0.1]]),
         Kind.CYLINDER: np.array([[-0.2, 0.0, 0.2, 0.05, 0.2, 0.0, 0.2, 0.05]]),
         Kind.CONE: np.array([[-0.2, 0.2, 0.2, 0.1, 0.2, 0.2, 0.2, 0.02]]),

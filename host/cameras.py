@@ -17,6 +17,7 @@ from enum import Enum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
 from raygrid.node.errors import SceneError
 from raygrid.node.frame import CAMERA
 

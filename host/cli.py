@@ -154,7 +154,6 @@ def cli() -> None:
               help="Time without any progress after which the array is taken to hang.")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors. (Without a terminal there is hardly any.)")
 @_debug_option
-# fmt: on
 def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **options: Any) -> None:
     """Render a scene file on an array of processes.
 

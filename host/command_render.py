@@ -6,6 +6,7 @@ What is heavy to import (numba comes with it) is imported after the nursery was 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -70,7 +71,7 @@ def _render(request: Request, talk: Talk, begun: float) -> Picture:
     with Array(shape, batch=request.batch, patience=request.patience, on_warming=talk.warming) as array:
         array.begin()
         talk.phase(f"reading {request.scene}")
-        job = _read_job(request, talk)
+        job = _read_job(request, talk, array.wait_warm)
         read = time.perf_counter()
         talk.phase(f"launching {shape[0] * shape[1] * shape[2]} processors")
         array.wait_ready()
@@ -86,14 +87,14 @@ def _render(request: Request, talk: Talk, begun: float) -> Picture:
     return picture
 
 
-def _read_job(request: Request, talk: Talk) -> Job:
+def _read_job(request: Request, talk: Talk, wait_warm: Callable[[], None]) -> Job:
     from raygrid.host.job import Settings, make_job
     from raygrid.host.load import load_scene
 
     scene = load_scene(request.scene)
     for remark in scene.remarks:
         talk.remark(remark)
-    job = make_job(scene, request.shape, Settings(**request.settings))
+    job = make_job(scene, request.shape, Settings(**request.settings), wait_warm)
     for output in request.outputs:
         check_side(output, job.frame.width, job.frame.height)
     return job

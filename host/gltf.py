@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
 from raygrid.host.cameras import Camera, look_at_everything, orthographic_camera, perspective_camera
 from raygrid.host.scene import Scene
 from raygrid.host.scene_builder import MAX_COORDINATE, SceneBuilder, plural, shown

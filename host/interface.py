@@ -64,9 +64,7 @@ class Machine:
         self._array.__exit__(kind, error, trace)
 
 
-def launch(
-    shape: str | tuple[int, int, int] = "2x2x2", *, batch: int = BATCH, patience: float = PATIENCE
-) -> Machine:
+def launch(shape: str | tuple[int, int, int] = "2x2x2", *, batch: int = BATCH, patience: float = PATIENCE) -> Machine:
     """Launch an array of node processes on this computer, and wait until it is ready.
 
     shape     processors on each axis, "2x2x2" or (2, 2, 2)

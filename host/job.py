@@ -136,7 +136,9 @@ def _check_size(width: int, height: int, samples: int, depth: int) -> None:
         )
     if samples < 1 or width * height * samples > MAX_SAMPLES:
         most = MAX_SAMPLES // (width * height)
-        raise SceneError(f"{samples} samples a pixel came, wanted 1 to {most} for {width}x{height} (sample numbers have 32 bits)")
+        raise SceneError(
+            f"{samples} samples a pixel came, wanted 1 to {most} for {width}x{height} (sample numbers have 32 bits)"
+        )
     if not 1 <= depth <= MAX_DEPTH:
         raise SceneError(f"a depth came as {depth}, wanted 1 to {MAX_DEPTH}")
 

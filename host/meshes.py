@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from raygrid.host.scene import Scene
 from raygrid.host.scene_builder import SceneBuilder, read_bytes, shown
 from raygrid.host.scene_finish import Y_UP, Z_UP, finish_scene

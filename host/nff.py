@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
 from raygrid.host.cameras import Camera, nff_camera
 from raygrid.host.scene import Scene
 from raygrid.host.scene_builder import SceneBuilder, colour, material, plural, read_bytes

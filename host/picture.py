@@ -43,7 +43,9 @@ class Picture:
             raise OutputError(f"a transfer came as {transfer!r}, wanted one of: {' '.join(TRANSFERS)}")
         picture = np.empty(self.sums.shape, np.uint8)
         rows = max(1, BLOCK // max(self.sums.shape[1], 1))
-        for first in range(0, len(picture), rows):  # a whole large picture as float64 would need several times its memory
+        for first in range(
+            0, len(picture), rows
+        ):  # a whole large picture as float64 would need several times its memory
             block = slice(first, first + rows)
             values = np.minimum(self.sums[block] / (UNIT * self.samples), 1.0)
             if transfer == "srgb":

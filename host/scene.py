@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
 from raygrid.host.cameras import Camera
 from raygrid.node.frame import DIRECTIONAL
 from raygrid.node.surfaces import Kind, SurfaceSet

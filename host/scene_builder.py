@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
 from raygrid.host.scene_polygons import (
     Ints,
     flat_polygons,

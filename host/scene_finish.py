@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
 from raygrid.host.cameras import Camera, Vector, look_at_everything
 from raygrid.host.scene import Colour, Scene
 from raygrid.host.scene_builder import SceneBuilder

@@ -16,6 +16,7 @@ from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
+
 from raygrid.host.scene_builder import read_bytes, shown
 from raygrid.node.errors import SceneError
 from raygrid.node.surfaces import F64

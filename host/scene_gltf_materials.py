@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
 from raygrid.host.scene_builder import Table, material
 from raygrid.host.scene_gltf import Document
 from raygrid.host.scene_mtl import GREY

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
 from raygrid.host.cameras import Camera
 from raygrid.node.frame import DIRECTIONAL, LIGHT, POINT
 from raygrid.node.surfaces import F64

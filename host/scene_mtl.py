@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
 from raygrid.host.scene_builder import Table, material, read_bytes, shown
 from raygrid.host.textures import Texture, read_picture
 from raygrid.node.errors import SceneError

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
 from raygrid.host.scene_polygons import Ints
 from raygrid.node.errors import SceneError
 from raygrid.node.surfaces import F64

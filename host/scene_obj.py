@@ -19,6 +19,7 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
+
 from raygrid.host.scene_builder import MAX_COORDINATE, SceneBuilder, plural, read_bytes, shown
 from raygrid.host.scene_mtl import GREY, WHITE, Mtl, read_mtl
 from raygrid.host.scene_polygons import Ints, triangulate

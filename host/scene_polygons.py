@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+
 from raygrid.node.surfaces import F64
 
 Ints = NDArray[np.int64]

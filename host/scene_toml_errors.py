@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
+
 from raygrid.host.scene_builder import shown
 from raygrid.host.scenefile_schema import TABLES, SceneFile
 from raygrid.node.errors import SceneError

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike
+
 from raygrid.node.errors import SceneError
 from raygrid.node.surfaces import F64, Batch, Kind
 

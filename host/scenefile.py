@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
 from raygrid.host import scenefile_schema as schema
 from raygrid.host.cameras import DEFAULT_FOV, Camera, orthographic_camera, perspective_camera
 from raygrid.host.load import load_scene

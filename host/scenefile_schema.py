@@ -17,6 +17,7 @@ from pydantic import (
     Strict,
     model_validator,
 )
+
 from raygrid.host.scene_builder import MAX_COORDINATE
 
 MAX_SIDE = 65_535  # pixels

@@ -13,6 +13,7 @@ from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
+
 from raygrid.host.scene_builder import Table
 from raygrid.node.errors import SceneError
 from raygrid.node.surfaces import F64

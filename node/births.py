@@ -49,7 +49,9 @@ def bear_primaries(cell, space, frame, pixels, cursor, packets, first, room, cou
             i += (stride - i % stride) % stride
             while i < end and made < room:
                 if not (coarser and i % (2 * stride) == 0):
-                    made += _bear(cell, space, frame, pixels, i, j, cursor[NUMBER], packets, first + made, white, counts)
+                    made += _bear(
+                        cell, space, frame, pixels, i, j, cursor[NUMBER], packets, first + made, white, counts
+                    )
                 i += stride
             cursor[COLUMN] = i
             if i < end:

@@ -36,7 +36,6 @@ from .messages import (
 from .packets import SIZE
 from .step import HEAD
 
-
 MESSAGE_OVERHEAD = 250  # bytes, more than a message that waits here takes beside its payload
 
 

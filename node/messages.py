@@ -27,7 +27,9 @@ from .step import HEAD
 from .surfaces import STORED_AS, STRIDE, Batch, Kind
 
 VERSION = 1
-MAX_MESSAGE = 1 << 25  # bytes; ZMQ_MAXMSGSIZE of every socket; a frame of the most materials and lights takes half of it
+MAX_MESSAGE = (
+    1 << 25
+)  # bytes; ZMQ_MAXMSGSIZE of every socket; a frame of the most materials and lights takes half of it
 WINDOW = 32  # PACKETS and SURFACES messages under way on one direction of a link
 HEADER = struct.Struct("<BBHIII")
 SURFACE_HEADER = struct.Struct("<BBHII")  # corner, kind, zero, surfaces, points of polygons

@@ -69,7 +69,12 @@ def read_frame(order: dict[str, Any]) -> Frame:
     if width * height * samples > MAX_SAMPLES:
         raise ProtocolError(f"a frame came with {width} x {height} x {samples} samples, wanted {MAX_SAMPLES} or fewer")
     background, min_weight, discs = order.get("background"), order.get("min_weight"), order.get("discs")
-    if not _numbers(background, 3) or not _numbers([min_weight], 1) or not isinstance(discs, bool) or min_weight is None:
+    if (
+        not _numbers(background, 3)
+        or not _numbers([min_weight], 1)
+        or not isinstance(discs, bool)
+        or min_weight is None
+    ):
         raise ProtocolError(f"a frame came with background {background!r}, min_weight {min_weight!r}, discs {discs!r}")
     return Frame(
         camera,

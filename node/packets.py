@@ -326,7 +326,9 @@ _PIXEL_RECORD = np.dtype(
 assert _PIXEL_RECORD.itemsize == SIZE
 
 
-def read_pixels(message: bytes, start: int, pixels: int) -> tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.int64]]:
+def read_pixels(
+    message: bytes, start: int, pixels: int
+) -> tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.int64]]:
     """(pixel numbers (n,), sums (n, 3), samples (n,)) of all pixel packets from byte `start` on.
 
     Raises PacketError if one is of another kind or names a pixel at or above `pixels`.

@@ -366,4 +366,3 @@ def step(cell, space, frame, surfaces, pixels, packets, ports, first, last, outp
             step_one(cell, space, frame, surfaces, pixels, packets, k * SIZE, np.int64(ports[k]), outputs, counts)
             k += 1
     return k
-

@@ -7,6 +7,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from support_links import Passing
+from support_scenes import Scene, space_of
+
 from raygrid.emulator.memory_array import MemoryArray
 from raygrid.node.link import Channel, Link
 from raygrid.node.memory_pair import MemoryPair
@@ -15,8 +18,6 @@ from raygrid.node.packets import KINDS, SIZE
 from raygrid.node.step import HEAD
 from raygrid.node.surfaces import merge
 from raygrid.node.tables import BORN, DIED
-from support_links import Passing
-from support_scenes import Scene, space_of
 
 Shape = tuple[int, int, int]
 Sums = tuple[NDArray[np.int64], NDArray[np.int64]]
@@ -163,12 +164,8 @@ def packets_alive(array: MemoryArray) -> NDArray[np.uint8]:
         found += [stack.packets[: stack.held * SIZE] for stack in tracer.backlog.stacks]
         found += [row[HEAD : HEAD + held * SIZE] for row, held in zip(*tracer.outputs[:2], strict=True) if held]
     for link in links_of(array):
-        found += [
-            np.frombuffer(payload, np.uint8) for kind, _, payload in link.queued if kind == MessageKind.PACKETS
-        ]
-        found += [
-            np.frombuffer(raw, np.uint8)[HEAD:] for raw in _queued(link.channel) if raw[0] == MessageKind.PACKETS
-        ]
+        found += [np.frombuffer(payload, np.uint8) for kind, _, payload in link.queued if kind == MessageKind.PACKETS]
+        found += [np.frombuffer(raw, np.uint8)[HEAD:] for raw in _queued(link.channel) if raw[0] == MessageKind.PACKETS]
     return np.concatenate([np.zeros(0, np.uint8), *found]).reshape(-1, SIZE)
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from raygrid.node.lattice import HALF, Space
 from support_frames import orthographic, perspective
 from support_surfaces import F64, Generator, unit_vectors
+
+from raygrid.node.lattice import HALF, Space
 
 Size = tuple[int, int]
 

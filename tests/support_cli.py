@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
+from support_render import SCENES
+
 from raygrid.emulator.array import WARM_SECONDS
 from raygrid.emulator.launch import Nursery
 from raygrid.host.cli import main
-from support_render import SCENES
 
 RAYGRID = str(Path(sys.executable).with_name("raygrid"))
 TINY = str(SCENES / "tiny.nff")

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from raygrid.node.surfaces import Batch, Kind
 from support_surfaces import F64
+
+from raygrid.node.surfaces import Batch, Kind
 
 
 def distance(rows: Batch, k: int, p: F64) -> float:

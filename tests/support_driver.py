@@ -9,6 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from support_space import Index, indices, neighbour
+
 from raygrid.node import packets
 from raygrid.node.births import DONE, bear_primaries, new_cursor
 from raygrid.node.hierarchy import DEPTH
@@ -21,7 +23,6 @@ from raygrid.node.step import HEAD, make_outputs, step
 from raygrid.node.surfaces import SurfaceSet, merge
 from raygrid.node.tables import BORN, COUNTS, DIED, HOMES, MISADDRESSED, Frame, frame_limits
 from raygrid.node.walk import HOST, OPPOSITE, OUTPUTS, SELF, SELF_RAYS, leaves_array
-from support_space import Index, indices, neighbour
 
 Bytes = NDArray[np.uint8]
 ROOM = 1024  # packets an output holds

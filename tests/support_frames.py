@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from support_surfaces import F64
+
 from raygrid.node.frame import DIRECTIONAL, LIGHT, MATERIAL, POINT
 from raygrid.node.tables import Frame, light_table, material_table
-from support_surfaces import F64
 
 Vector = Sequence[float] | F64
 

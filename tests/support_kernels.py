@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from support_space import even_space
+
 from raygrid.node import tables
 from raygrid.node.camera import entry, eye_ray, home, image_point
 from raygrid.node.compiled import kernel, part
@@ -18,7 +20,6 @@ from raygrid.node.surfaces import SurfaceSet
 from raygrid.node.tables import KIND_SHIFT, SLOT_MASK, Frame, Surfaces
 from raygrid.node.traverse import blocked, closest
 from raygrid.node.walk import inverse
-from support_space import even_space
 
 F64 = NDArray[np.float64]
 WHOLE = make_cell(even_space((1, 1, 1), (1.0 / (1 << 23),) * 3), (0, 0, 0))

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import zmq
+
 from raygrid.node.link import Arrival, Channel, Link, State
 from raygrid.node.memory_pair import memory_pair
 from raygrid.node.messages import HEADER, IS_DATA, WINDOW

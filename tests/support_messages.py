@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from hypothesis import strategies as st
+from support_surfaces import batch, random_rows
+
 from raygrid.node.messages import HEADER, MessageKind, pack_surfaces
 from raygrid.node.surfaces import Batch, Kind
-from support_surfaces import batch, random_rows
 
 
 def message(

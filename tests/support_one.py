@@ -7,6 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from support_driver import Grid
+from support_frames import make_frame, orthographic
+from support_packets import ray_bytes, return_bytes, shadow_bytes
+from support_scenes import EVEN_STEP, space_of
+from support_space import Index
+from support_surfaces import F64, batch
+
 from raygrid.node import packets
 from raygrid.node.lattice import HALF, nearest
 from raygrid.node.packets import SIZE, Packet, octahedral, pack_weight
@@ -14,12 +21,6 @@ from raygrid.node.step import HEAD, step
 from raygrid.node.surfaces import Kind, merge
 from raygrid.node.tables import Frame
 from raygrid.node.walk import OUTPUTS, SELF
-from support_driver import Grid
-from support_frames import make_frame, orthographic
-from support_packets import ray_bytes, return_bytes, shadow_bytes
-from support_scenes import EVEN_STEP, space_of
-from support_space import Index
-from support_surfaces import F64, batch
 
 Vector = Sequence[float] | F64
 SIZE_OF_PICTURE = (10, 10)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from oracle import Camera, OracleScene, SceneBuilder, nff_camera, orthographic_camera
+
 from raygrid.host import cameras
 from raygrid.host.scene import Scene
 from raygrid.node.camera import image_point

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+
 from raygrid.node import packets
 
 Cell = tuple[int, int, int]

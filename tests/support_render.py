@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+
 from raygrid.emulator.memory_array import MemoryArray
 from raygrid.host.job import Settings, make_job
 from raygrid.host.picture import Picture

@@ -5,11 +5,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from raygrid.node import packets
-from raygrid.node.lattice import HALF, Space, make_space
-from raygrid.node.packets import HALF_DIRECTION, LATTICE
-from raygrid.node.surfaces import Batch, Kind, SurfaceSet
-from raygrid.node.tables import Frame
 from support_frames import directional_light, make_frame, material, orthographic, perspective, point_light
 from support_space import EVEN_STEP, UNEVEN_PLANES, Index, even_planes
 from support_surfaces import (
@@ -23,6 +18,12 @@ from support_surfaces import (
     shuffled_ids,
     unit_vectors,
 )
+
+from raygrid.node import packets
+from raygrid.node.lattice import HALF, Space, make_space
+from raygrid.node.packets import HALF_DIRECTION, LATTICE
+from raygrid.node.surfaces import Batch, Kind, SurfaceSet
+from raygrid.node.tables import Frame
 
 Step = tuple[float, float, float]
 SHAPES = ["1x1x1", "2x2x2", "4x3x1", "3x3x3", "5x4x2", "8x8x8", "uneven 4x4x4"]
@@ -161,28 +162,52 @@ def grazed(rays: Rays, step: Step, rng: Generator) -> Batch:
     return batch(Kind.POLYGON, rows)
 
 
-def trouble(seed: int, step: Step, n_rays: int) -> tuple[Scene, Rays]:
-    """300 triangles, many of them on planes, spheres, cones, polygons; all mirrors; and rays at them.
+def squeezed(kind: Kind, row: F64, size: F64) -> F64:
+    """A surface of the unit cube in a world box with these edges; round ones stay round."""
+    if kind == Kind.POLYGON:
+        return row * size
+    row, corners = row.copy(), 3 if kind in (Kind.TRIANGLE, Kind.SMOOTH) else 1
+    row[: 3 * corners] *= np.tile(size, corners)
+    if kind in (Kind.CYLINDER, Kind.CONE):
+        row[4:7] *= size
+        row[[3, 7]] *= size.min()
+    elif kind == Kind.SPHERE:
+        row[3] *= size.min()
+    return row
 
-    Parallel rays of the camera give every ray a pixel of its own, and homes all over the front.
-    """
-    rng = np.random.default_rng(seed)
-    planes, reach = planes_of_shapes(step), 0.8 * HALF * min(step)
-    rays = troublesome_rays(rng, n_rays)
-    chosen = rng.integers(0, n_rays, 60)
-    polygons = grazed(Rays(rays.origins[chosen], rays.codes[chosen]), step, rng)
+
+def _troublesome_surfaces(rng: Generator, step: Step, grazed_polygons: Batch) -> SurfaceSet:
     shape = {Kind.TRIANGLE: (150, 150), Kind.SMOOTH: (10, 10), Kind.POLYGON: (10, 30), Kind.SPHERE: (15, 15)}
     shape |= {Kind.CYLINDER: (10, 10), Kind.CONE: (10, 10)}
+    planes, reach, size = planes_of_shapes(step), 0.8 * HALF * min(step), np.ones(3)
+    if max(step) > 4 * min(step):  # a flat world: made in the unit cube and squeezed
+        size = 2 * HALF * np.array(step)
+        planes, reach = [line / edge for line, edge in zip(planes, size, strict=True)], 0.4
     batches = []
     for kind, (free, on_planes) in shape.items():
         rows = [
             *random_rows(kind, rng, free, reach=reach, size=(0.003, 0.2)),
             *rows_on_planes(kind, rng, on_planes, planes),
         ]
+        rows = [squeezed(kind, row, size) for row in rows]
         if kind == Kind.POLYGON:
-            rows += np.split(polygons.data, polygons.starts[1:-1])
+            rows += np.split(grazed_polygons.data, grazed_polygons.starts[1:-1])
         batches.append(_with_materials(inside(batch(kind, rows), step), rng, 8))
-    materials = [material(diffuse=rng.random(3), specular=rng.uniform(0.5, 1.0, 3)) for _ in range(8)]
+    return shuffled_ids(batches, rng)
+
+
+def trouble(seed: int, step: Step, n_rays: int) -> tuple[Scene, Rays]:
+    """300 triangles, many of them on planes, spheres, cones, polygons; mirrors and some glass; and rays at them.
+
+    Parallel rays of the camera give every ray a pixel of its own, and homes all over the front.
+    """
+    rng = np.random.default_rng(seed)
+    planes = planes_of_shapes(step)
+    rays = troublesome_rays(rng, n_rays)
+    chosen = rng.integers(0, n_rays, 60)
+    surfaces = _troublesome_surfaces(rng, step, grazed(Rays(rays.origins[chosen], rays.codes[chosen]), step, rng))
+    materials = [material(diffuse=rng.random(3), specular=rng.uniform(0.5, 1.0, 3)) for _ in range(7)]
+    materials.append(material(diffuse=rng.random(3), specular=0.3, transmission=0.6, ior=1.3))
     at = planes[2][len(planes[2]) // 2]
     lights = [
         point_light([0.11, 0.07, at + 1e-9]),
@@ -193,7 +218,7 @@ def trouble(seed: int, step: Step, n_rays: int) -> tuple[Scene, Rays]:
     size = (width, int(np.ceil(n_rays / width)))
     camera = orthographic([0, 0, 2], [0, 0, -1], 0.9 * HALF * min(step[:2]), size, up=(0, 1, 0))
     frame = make_frame(camera, size, depth=7, materials=materials, lights=lights, background=(0.01, 0.02, 0.03))
-    return Scene(shuffled_ids(batches, rng), frame, step), rays
+    return Scene(surfaces, frame, step), rays
 
 
 def birth_cells(space: Space, rays: Rays, rng: Generator) -> np.ndarray:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from hypothesis import strategies as st
+
 from raygrid.node.lattice import HALF, THINNEST_CELL, Cell, Space, make_cell, make_space
 from raygrid.node.packets import LATTICE
 

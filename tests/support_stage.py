@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
 from raygrid.host.cameras import Camera, orthographic_camera
 from raygrid.host.scene import Colour, Scene
 from raygrid.host.scene_builder import SceneBuilder, material

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+
 from raygrid.node.surfaces import STORED_AS, STRIDE, Batch, Kind, SurfaceSet, merge
 
 F64 = NDArray[np.float64]

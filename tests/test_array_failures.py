@@ -5,13 +5,6 @@ from __future__ import annotations
 from functools import cache
 
 import pytest
-from raygrid.emulator.memory_array import MemoryArray
-from raygrid.node.errors import ArrayError, ProtocolError, Stuck
-from raygrid.node.messages import HEADER, MessageKind
-from raygrid.node.packets import FAULTS, SIZE
-from raygrid.node.processor import SUMS
-from raygrid.node.step import HEAD
-from raygrid.node.walk import HOST
 from support_array import (
     Sums,
     haphazard,
@@ -30,6 +23,14 @@ from support_frames import perspective
 from support_links import Meddler, renumbered
 from support_scenes import Scene, mixed_scene, space_of
 from support_space import EVEN_STEP
+
+from raygrid.emulator.memory_array import MemoryArray
+from raygrid.node.errors import ArrayError, ProtocolError, Stuck
+from raygrid.node.messages import HEADER, MessageKind
+from raygrid.node.packets import FAULTS, SIZE
+from raygrid.node.processor import SUMS
+from raygrid.node.step import HEAD
+from raygrid.node.walk import HOST
 
 SIZE_OF_PICTURE = (24, 18)
 NAME = "2x2x2"

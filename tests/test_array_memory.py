@@ -6,7 +6,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from raygrid.node.tables import BORN, DIED
 from support_array import (
     ORDERS,
     Sums,
@@ -30,6 +29,8 @@ from support_frames import make_frame, material, perspective, point_light
 from support_links import Passing
 from support_scenes import SHAPES, Scene, mixed_scene
 from support_space import EVEN_STEP, UNEVEN_STEP
+
+from raygrid.node.tables import BORN, DIED
 
 SIZE = (24, 18)
 QUICK_SHAPES = [pytest.param(name, marks=[pytest.mark.slow] if name == "8x8x8" else []) for name in SHAPES]

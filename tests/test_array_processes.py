@@ -7,6 +7,7 @@ import signal
 from pathlib import Path
 
 import pytest
+
 from raygrid.emulator.array import Array
 from raygrid.emulator.driver import BUDGET
 from raygrid.emulator.topology import indices, neighbour_links

@@ -12,9 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from raygrid.host import outputs
 from support_cli import TINY, as_process, here, warm_kernels
 from support_render import SCENES
+
+from raygrid.host import outputs
 
 __all__ = ["warm_kernels"]
 
@@ -42,14 +43,26 @@ def one_line(outcome, code, pattern):
 
 FILES = [  # name, contents, the line that comes after "raygrid: "
     # cut
-    ("cut.nff", GOOD[: len(GOOD) // 2], "cut.nff, line 13: the file ends inside the polygon that begins here, after 10 numbers of 13"),
+    (
+        "cut.nff",
+        GOOD[: len(GOOD) // 2],
+        "cut.nff, line 13: the file ends inside the polygon that begins here, after 10 numbers of 13",
+    ),
     ("cut.nff", GOOD[:-9], "cut.nff, line 24: the file ends inside the sphere that begins here, after 2 numbers of 4"),
     ("cut.glb", GLB[: len(GLB) // 2], r"cut.glb: the file has \d+ bytes, but says that it has 206256: it is cut"),
     ("cut.glb", GLB[:10], "cut.glb: the file ends inside its header, after 10 bytes"),
     ("cut.gltf", '{"asset": {"ver', r"cut.gltf: the JSON cannot be read \(.+\)"),
     ("cut.ply", PLY + PLY_FACES.format(2) + "3 0 1 2\n", "cut.ply: the file ends after 4 lines of data, wanted 5"),
-    ("cut.stl", bytes(80) + struct.pack("<I", 2) + bytes(50), "cut.stl: the file has 134 bytes, wanted 184 for its 2 facets"),
-    ("cut.stl", "solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\n", "cut.stl: the file ends inside facet 1, wanted .+"),
+    (
+        "cut.stl",
+        bytes(80) + struct.pack("<I", 2) + bytes(50),
+        "cut.stl: the file has 134 bytes, wanted 184 for its 2 facets",
+    ),
+    (
+        "cut.stl",
+        "solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\n",
+        "cut.stl: the file ends inside facet 1, wanted .+",
+    ),
     ("cut.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2", "cut.obj, line 4: .+2.+3.*"),
     ("cut.toml", "[camera]\nfrom = [0, 1", r"cut.toml: the TOML cannot be read \(.+\)"),
     # empty
@@ -66,31 +79,87 @@ FILES = [  # name, contents, the line that comes after "raygrid: "
     ("none.ply", PLY + PLY_FACES.format(0), "none.ply: the file has no faces, wanted at least one"),
     ("none.stl", bytes(84), "none.stl: the file has no facets, wanted at least one"),
     ("none.gltf", '{"asset": {"version": "2.0"}}', "none.gltf: .+"),
-    ("flat.nff", HEAD + "p 3 0 0 0 1 1 1 2 2 2", "flat.nff: the file has only 1 surface without area, wanted at least one surface"),
-    ("flat.obj", "v 0 0 0\nv 1 1 1\nv 2 2 2\nf 1 2 3\n", "flat.obj: the file has only 1 surface without area, wanted .+"),
-    ("blind.nff", "s 0 0 0 1", r"blind.nff: the file has no viewpoint, wanted one \(v from at up angle hither resolution\)"),
+    (
+        "flat.nff",
+        HEAD + "p 3 0 0 0 1 1 1 2 2 2",
+        "flat.nff: the file has only 1 surface without area, wanted at least one surface",
+    ),
+    (
+        "flat.obj",
+        "v 0 0 0\nv 1 1 1\nv 2 2 2\nf 1 2 3\n",
+        "flat.obj: the file has only 1 surface without area, wanted .+",
+    ),
+    (
+        "blind.nff",
+        "s 0 0 0 1",
+        r"blind.nff: the file has no viewpoint, wanted one \(v from at up angle hither resolution\)",
+    ),
     # numbers
     ("nan.nff", HEAD + "s 0 0 nan 1", "nan.nff, line 4: came 'nan', wanted a finite number"),
     ("inf.nff", HEAD + "s 0 -inf 0 1", "inf.nff, line 4: came '-inf', wanted a finite number"),
     ("big.nff", HEAD + "s 0 0 1e40 1", "big.nff, line 4: came 1e[+]40, wanted at most 1e30"),
     ("zero.nff", HEAD + "s 0 0 0 0", "zero.nff, line 4: a sphere's radius must not be 0, came: 0 0 0 0"),
-    ("nan.obj", "v 0 0 0\nv 1 nan 0\nv 0 1 0\nf 1 2 3\n", "nan.obj, line 2: came '1 nan 0', wanted finite numbers of at most 1e30"),
+    (
+        "nan.obj",
+        "v 0 0 0\nv 1 nan 0\nv 0 1 0\nf 1 2 3\n",
+        "nan.obj, line 2: came '1 nan 0', wanted finite numbers of at most 1e30",
+    ),
     ("nan.ply", PLY + PLY_FACES.format(1).replace("1 0 0", "1 nan 0") + "3 0 1 2\n", "nan.ply: .+"),
     ("nan.stl", bytes(84)[:80] + struct.pack("<I12fH", 1, *[float("nan")] * 12, 0), "nan.stl: .+"),
-    ("nan.toml", TOML_SPHERE.replace("[0, 0, 0]", "[0, nan, 0]"), r"nan.toml, line 3: surfaces\[0\].centre\[1\] is nan, wanted a finite number"),
+    (
+        "nan.toml",
+        TOML_SPHERE.replace("[0, 0, 0]", "[0, nan, 0]"),
+        r"nan.toml, line 3: surfaces\[0\].centre\[1\] is nan, wanted a finite number",
+    ),
     # cameras
-    ("same.nff", HEAD.replace("at 0 0 0", "at 0 -6 2") + "s 0 0 0 1", r"same.nff, line 1: the camera looks from \(0, -6, 2\) at that same point, wanted two different points"),
-    ("up.nff", HEAD.replace("up 0 0 1", "up 0 6 -2") + "s 0 0 0 1", r"up.nff, line 1: the camera's up \(0, 6, -2\) is parallel to its view, wanted another direction"),
-    ("angle.nff", HEAD.replace("angle 40", "angle 180") + "s 0 0 0 1", "angle.nff, line 1: the camera's angle is 180 degrees, wanted more than 0 and less than 180"),
-    ("size.nff", HEAD.replace("32 32", "0 0") + "s 0 0 0 1", "size.nff, line 1: the resolution must be two whole numbers from 1 to 65535, came: 0 0"),
-    ("same.toml", TOML_SPHERE + "[camera]\nfrom = [1, 1, 1]\nat = [1, 1, 1]\n", "same.toml, line 5: camera .+two different points"),
+    (
+        "same.nff",
+        HEAD.replace("at 0 0 0", "at 0 -6 2") + "s 0 0 0 1",
+        r"same.nff, line 1: the camera looks from \(0, -6, 2\) at that same point, wanted two different points",
+    ),
+    (
+        "up.nff",
+        HEAD.replace("up 0 0 1", "up 0 6 -2") + "s 0 0 0 1",
+        r"up.nff, line 1: the camera's up \(0, 6, -2\) is parallel to its view, wanted another direction",
+    ),
+    (
+        "angle.nff",
+        HEAD.replace("angle 40", "angle 180") + "s 0 0 0 1",
+        "angle.nff, line 1: the camera's angle is 180 degrees, wanted more than 0 and less than 180",
+    ),
+    (
+        "size.nff",
+        HEAD.replace("32 32", "0 0") + "s 0 0 0 1",
+        "size.nff, line 1: the resolution must be two whole numbers from 1 to 65535, came: 0 0",
+    ),
+    (
+        "same.toml",
+        TOML_SPHERE + "[camera]\nfrom = [1, 1, 1]\nat = [1, 1, 1]\n",
+        "same.toml, line 5: camera .+two different points",
+    ),
     # not what it says it is
     ("word.nff", HEAD + "s 0 0 0 1\nq 1 2 3", f"word.nff, line 5: came the unknown word 'q', wanted one of {KEYWORDS}"),
-    ("latin.nff", HEAD.encode() + b"s 0 0 0 \xe91", rf"latin.nff, line 4: came the unknown word '\\\\xe91', wanted one of {KEYWORDS}"),
+    (
+        "latin.nff",
+        HEAD.encode() + b"s 0 0 0 \xe91",
+        rf"latin.nff, line 4: came the unknown word '\\\\xe91', wanted one of {KEYWORDS}",
+    ),
     ("long.nff", HEAD + "s 0 0 0 " + "1" * 10_000_000, r"long.nff, line 4: came '1{37}\.\.\.', wanted a finite number"),
-    ("long.nff", HEAD + "s 0 0 0 1 " + "z" * 10_000_000, r"long.nff, line 4: came the unknown word 'z{37}\.\.\.', wanted .+"),
-    ("index.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "index.obj, line 4: came the corner '9', but the file has 3 v, 0 vt and 0 vn"),
-    ("index.ply", PLY + PLY_FACES.format(1) + "3 0 1 7\n", "index.ply: a face has the vertex 7, wanted numbers from 0 to 2"),
+    (
+        "long.nff",
+        HEAD + "s 0 0 0 1 " + "z" * 10_000_000,
+        r"long.nff, line 4: came the unknown word 'z{37}\.\.\.', wanted .+",
+    ),
+    (
+        "index.obj",
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n",
+        "index.obj, line 4: came the corner '9', but the file has 3 v, 0 vt and 0 vn",
+    ),
+    (
+        "index.ply",
+        PLY + PLY_FACES.format(1) + "3 0 1 7\n",
+        "index.ply: a face has the vertex 7, wanted numbers from 0 to 2",
+    ),
     ("binary.nff", RUBBISH, "binary.nff, line 1: came .+ before any keyword, wanted one of .+"),
     ("binary.obj", RUBBISH, "binary.obj: .+"),
     ("binary.ply", RUBBISH, "binary.ply: this is no PLY file, wanted a header from 'ply' to 'end_header'"),
@@ -98,10 +167,26 @@ FILES = [  # name, contents, the line that comes after "raygrid: "
     ("binary.glb", RUBBISH, "binary.glb: .+"),
     ("binary.gltf", RUBBISH, "binary.gltf: .+"),
     ("binary.toml", RUBBISH, r"binary.toml: the TOML cannot be read \(.+\)"),
-    ("key.toml", TOML_SPHERE + "colour = 1\n", r"key.toml, line 5: the key surfaces\[0\].colour is unknown, wanted one of: .+"),
-    ("text.toml", TOML_SPHERE.replace("= 1", '= "one"'), r"text.toml, line 4: surfaces\[0\].radius is 'one', wanted a valid number"),
-    ("kind.toml", TOML_SPHERE.replace("sphere", "cube"), r"kind.toml, line \d: surfaces\[0\].kind is 'cube', wanted one of: .+"),
-    ("mesh.toml", '[[meshes]]\nfile = "gone.ply"\n', r"mesh.toml, line 2: meshes\[0\].file cannot be placed: .*gone.ply: there is no such file"),
+    (
+        "key.toml",
+        TOML_SPHERE + "colour = 1\n",
+        r"key.toml, line 5: the key surfaces\[0\].colour is unknown, wanted one of: .+",
+    ),
+    (
+        "text.toml",
+        TOML_SPHERE.replace("= 1", '= "one"'),
+        r"text.toml, line 4: surfaces\[0\].radius is 'one', wanted a valid number",
+    ),
+    (
+        "kind.toml",
+        TOML_SPHERE.replace("sphere", "cube"),
+        r"kind.toml, line \d: surfaces\[0\].kind is 'cube', wanted one of: .+",
+    ),
+    (
+        "mesh.toml",
+        '[[meshes]]\nfile = "gone.ply"\n',
+        r"mesh.toml, line 2: meshes\[0\].file cannot be placed: .*gone.ply: there is no such file",
+    ),
     ("base.toml", 'include = "gone.nff"\n', ".*gone.nff: there is no such file"),
     ("scene.xyz", GOOD, f"scene.xyz: the file has the suffix '.xyz', wanted one of: {SUFFIXES}"),
     ("scene", GOOD, f"scene: the file has no suffix, wanted one of: {SUFFIXES}"),
@@ -184,12 +269,30 @@ def test_misused_commands():
 
 
 TOO_MUCH = [  # arguments, the line
-    (["--size", "100000x100000"], "a size came as 100000x100000, wanted sides of 1 to 65536 and at most 268,435,456 pixels"),
-    (["--size", "40000x40000"], "a size came as 40000x40000, wanted sides of 1 to 65536 and at most 268,435,456 pixels"),
-    (["--samples", "4000000000"], r"4000000000 samples a pixel came, wanted 1 to 65536 for 256x256 \(sample numbers have 32 bits\)"),
-    (["--array", "1000x1000x1000"], r"a 1000x1000x1000 array does not fit this computer: its 1000000000 processors need .+, and .+ leaves .+; largest that fits: (\d+)x\1x\1"),
-    (["--size", "20000x100", "-o", "x.webp"], "x.webp: the picture has 20000x100 pixels, wanted sides of at most 16383 for WEBP"),
-    (["--size", "100x65501", "-o", "x.jpg"], "x.jpg: the picture has 100x65501 pixels, wanted sides of at most 65500 for JPEG"),
+    (
+        ["--size", "100000x100000"],
+        "a size came as 100000x100000, wanted sides of 1 to 65536 and at most 268,435,456 pixels",
+    ),
+    (
+        ["--size", "40000x40000"],
+        "a size came as 40000x40000, wanted sides of 1 to 65536 and at most 268,435,456 pixels",
+    ),
+    (
+        ["--samples", "4000000000"],
+        r"4000000000 samples a pixel came, wanted 1 to 65536 for 256x256 \(sample numbers have 32 bits\)",
+    ),
+    (
+        ["--array", "1000x1000x1000"],
+        r"a 1000x1000x1000 array does not fit this computer: its 1000000000 processors need .+, and .+ leaves .+; largest that fits: (\d+)x\1x\1",
+    ),
+    (
+        ["--size", "20000x100", "-o", "x.webp"],
+        "x.webp: the picture has 20000x100 pixels, wanted sides of at most 16383 for WEBP",
+    ),
+    (
+        ["--size", "100x65501", "-o", "x.jpg"],
+        "x.jpg: the picture has 100x65501 pixels, wanted sides of at most 65500 for JPEG",
+    ),
 ]
 
 
@@ -239,7 +342,11 @@ def test_outputs_are_looked_at_before_anything_is_done(arguments, line, tmp_path
 def test_a_full_disk(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path(name).symlink_to("/dev/full")
-    one_line(here("render", TINY, "--size", "9x9", "-o", name), 1, rf"raygrid: {name}: the file cannot be written \(No space left on device\)")
+    one_line(
+        here("render", TINY, "--size", "9x9", "-o", name),
+        1,
+        rf"raygrid: {name}: the file cannot be written \(No space left on device\)",
+    )
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
@@ -296,7 +403,11 @@ def test_few_descriptors(descriptors, tmp_path):
 
     outcome = as_process("render", TINY, "--array", "3x3x3", "-o", "x.png", cwd=tmp_path, preexec_fn=limit)
     fits = r"(nothing fits|largest that fits: \dx\dx\d)"
-    one_line(outcome, 1, rf"raygrid: a 3x3x3 array does not fit this computer: its 27 processors need \d+ descriptors in the host, and RLIMIT_NOFILE \(ulimit -n\) leaves {descriptors}; {fits}")
+    one_line(
+        outcome,
+        1,
+        rf"raygrid: a 3x3x3 array does not fit this computer: its 27 processors need \d+ descriptors in the host, and RLIMIT_NOFILE \(ulimit -n\) leaves {descriptors}; {fits}",
+    )
     assert list(tmp_path.iterdir()) == []
 
 
@@ -323,7 +434,10 @@ def test_debug_shows_the_traceback(where, monkeypatch):
 @pytest.mark.parametrize(
     ("error", "line"),
     [
-        (ZeroDivisionError("division\nby zero"), r"a bug: ZeroDivisionError: division by zero \(raygrid --debug shows where\)"),
+        (
+            ZeroDivisionError("division\nby zero"),
+            r"a bug: ZeroDivisionError: division by zero \(raygrid --debug shows where\)",
+        ),
         (MemoryError(), "out of memory"),
     ],
     ids=["bug", "memory"],
@@ -344,7 +458,11 @@ def test_a_picture_larger_than_the_memory(monkeypatch, tmp_path):
     few = Resources(plenty, plenty, plenty, Bound(5_000_000, "memory.max of the control group"))
     monkeypatch.setattr("raygrid.host.render.read_resources", lambda: few)
     outcome = here("render", TINY, "--size", "1000x1000", "-o", str(tmp_path / "x.png"))
-    one_line(outcome, 1, r"raygrid: a picture of 1000x1000 pixels needs 0\.1 GB of memory, and memory\.max of the control group leaves 0\.0 GB")
+    one_line(
+        outcome,
+        1,
+        r"raygrid: a picture of 1000x1000 pixels needs 0\.1 GB of memory, and memory\.max of the control group leaves 0\.0 GB",
+    )
 
 
 def test_numbers_as_numpy_writes_them_are_no_obstacle(tmp_path):

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from raygrid.node import packets
-from raygrid.node.births import DONE, bear_primaries, new_cursor
-from raygrid.node.lattice import HALF, Space, coordinate, make_cell
-from raygrid.node.pixels import Pixels, make_pixels, slot
-from raygrid.node.tables import BORN, COUNTS, Frame
 from support_cameras import bad_places, random_cameras
 from support_frames import make_frame, perspective
 from support_kernels import Samples, all_samples
 from support_packets import rows
 from support_space import UNEVEN_STEP, Index, even_space, indices, uneven_space
 
+from raygrid.node import packets
+from raygrid.node.births import DONE, bear_primaries, new_cursor
+from raygrid.node.lattice import HALF, Space, coordinate, make_cell
+from raygrid.node.pixels import Pixels, make_pixels, slot
+from raygrid.node.tables import BORN, COUNTS, Frame
+
 WHITE = packets.pack_weight(1.0, 1.0, 1.0)
 SPACES = {
     "1x1x1": even_space((1, 1, 1)),
     "3x2x1": even_space((3, 2, 1), UNEVEN_STEP),
     "uneven 4x4x4": uneven_space((2.0**-23,) * 3),
+    "flat 2x2x2": even_space((2, 2, 2), (0.9 / HALF, 2.1e-3 / HALF, 0.5 / HALF)),
 }
 
 
@@ -67,9 +69,11 @@ def check_slots(frame: Frame, samples: Samples, index: Index, pixels: Pixels) ->
 @pytest.mark.parametrize("split", SPACES)
 @pytest.mark.parametrize(("size", "samples"), [((23, 17), 1), ((13, 11), 4)])
 def test_each_sample_is_born_once_from_bad_places(split, size, samples):
+    entering = {}
     for name, camera in bad_places(SPACES[split], size).items():
-        entering = check_births(make_frame(camera, size, samples=samples), SPACES[split])
-        assert entering > 0 or name in ("behind", "parallel, away", "on a face, looking out") or "steps" in name
+        entering[name] = check_births(make_frame(camera, size, samples=samples), SPACES[split])
+    assert sum(many > 0 for many in entering.values()) > 25
+    assert entering["behind"] == entering["parallel, away"] == 0
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 19), (19, 1), (2, 2), (1, 2)])

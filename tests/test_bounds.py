@@ -7,22 +7,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from raygrid.emulator import driver as driver_module
-from raygrid.emulator.bounds import (
-    branches_of,
-    growth,
-    growth_of,
-    memory_bound,
-    packets_bound,
-    pixel_packets_bound,
-    surfaces_bound,
-    trees_bound,
-)
-from raygrid.emulator.driver import Progress
-from raygrid.node import tracer as tracer_module
-from raygrid.node.messages import WINDOW
-from raygrid.node.processor import CLOGGED
-from raygrid.node.surfaces import Kind
 from support_array import (
     Order,
     haphazard,
@@ -43,6 +27,23 @@ from support_frames import make_frame, material, perspective, point_light
 from support_scenes import Scene, mixed_scene, space_of
 from support_space import EVEN_STEP
 from support_surfaces import batch, merge
+
+from raygrid.emulator import driver as driver_module
+from raygrid.emulator.bounds import (
+    branches_of,
+    growth,
+    growth_of,
+    memory_bound,
+    packets_bound,
+    pixel_packets_bound,
+    surfaces_bound,
+    trees_bound,
+)
+from raygrid.emulator.driver import Progress
+from raygrid.node import tracer as tracer_module
+from raygrid.node.messages import WINDOW
+from raygrid.node.processor import CLOGGED
+from raygrid.node.surfaces import Kind
 
 SIZE = (24, 18)
 

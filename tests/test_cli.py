@@ -11,11 +11,12 @@ import click
 import numpy as np
 import pytest
 from PIL import Image
-from raygrid.host.cli import cli
-from raygrid.host.load import load_scene
 from support_cli import RAYGRID, TINY, as_process, here, warm_kernels
 from support_render import EIGHT, SCENES, rendered
 from support_terminal import HIDE, SHOW, Terminal
+
+from raygrid.host.cli import cli
+from raygrid.host.load import load_scene
 
 __all__ = ["warm_kernels"]
 
@@ -47,7 +48,9 @@ def test_every_command_has_help_with_an_example_and_is_in_the_readme(words, comm
     assert f"{words} " in README.read_text()
 
 
-@pytest.mark.parametrize(("words", "command"), commands()[1:], ids=lambda value: value if isinstance(value, str) else "")
+@pytest.mark.parametrize(
+    ("words", "command"), commands()[1:], ids=lambda value: value if isinstance(value, str) else ""
+)
 def test_every_option_has_help(words, command):
     for parameter in command.params:
         if isinstance(parameter, click.Option):
@@ -60,7 +63,9 @@ def test_examples_parse(line):
     cli.commands[name].make_context(name, arguments)
 
 
-@pytest.mark.parametrize("arguments", [[], ["--help"], ["render", "--help"], ["info", "--help"], ["--version"]], ids=" ".join)
+@pytest.mark.parametrize(
+    "arguments", [[], ["--help"], ["render", "--help"], ["info", "--help"], ["--version"]], ids=" ".join
+)
 def test_help_needs_no_heavy_libraries(arguments):
     script = (
         "import sys\nfrom raygrid.host.cli import main\n"
@@ -178,7 +183,9 @@ def test_output_into_a_closed_pipe_is_no_error_message():
 
 @pytest.mark.usefixtures("no_leftovers")
 def test_a_terminal_sees_progress_and_is_left_clean(tmp_path):
-    with Terminal([RAYGRID, "render", TINY, "--size", "512x512", "--samples", "4", "-o", "x.png"], tmp_path) as terminal:
+    with Terminal(
+        [RAYGRID, "render", TINY, "--size", "512x512", "--samples", "4", "-o", "x.png"], tmp_path
+    ) as terminal:
         terminal.wait_for(r"reading .*tiny\.nff")
         terminal.wait_for(r"launching 8 processors")
         terminal.wait_for(r"loading surfaces")
@@ -236,7 +243,9 @@ def test_notes_on_the_scene_are_told_without_a_terminal_too_but_not_to_the_quiet
 @pytest.mark.usefixtures("no_leftovers")
 def test_a_camera_that_looks_away_gives_the_background_and_a_note(tmp_path):
     scene = tmp_path / "away.nff"
-    scene.write_text("b 0.25 0.5 1 v from 0 -9 0 at 0 -10 0 up 0 0 1 angle 40 hither 1 resolution 20 10 l 1 1 9 s 0 0 0 1")
+    scene.write_text(
+        "b 0.25 0.5 1 v from 0 -9 0 at 0 -10 0 up 0 0 1 angle 40 hither 1 resolution 20 10 l 1 1 9 s 0 0 0 1"
+    )
     output = tmp_path / "x.png"
     outcome = here("render", str(scene), "--transfer", "linear", "-o", str(output))
     assert outcome.code == 0

@@ -6,13 +6,14 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from support_scenes import mixed_scene, space_of
+from support_space import EVEN_STEP, UNEVEN_STEP, cells, even_space, neighbour
+
 from raygrid.emulator.memory_array import MemoryArray
 from raygrid.node.flood import branches, corners
 from raygrid.node.lattice import make_cell
 from raygrid.node.overlap import meets
 from raygrid.node.surfaces import Kind, SurfaceSet
-from support_scenes import mixed_scene, space_of
-from support_space import EVEN_STEP, UNEVEN_STEP, cells, even_space, neighbour
 
 SHAPES = ["1x1x1", "2x2x2", "4x3x1", "3x3x3", "5x4x2", "uneven 4x4x4"]
 

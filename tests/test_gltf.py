@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
+
 from raygrid.host.gltf import node_matrix
 from raygrid.host.load import load_scene
 from raygrid.host.scene_gltf_materials import shading

@@ -5,6 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from support_kernels import built, closest_each
+from support_surfaces import (
+    F64,
+    Generator,
+    batch,
+    frame_of,
+    points_on,
+    random_rows,
+    rows_on_planes,
+    shuffled_ids,
+    unit_vectors,
+)
+
 from raygrid.node.hierarchy import (
     COUNT_MASK,
     COUNT_SHIFT,
@@ -19,18 +32,6 @@ from raygrid.node.hierarchy import (
 from raygrid.node.lanes import CHILDREN, WIDE
 from raygrid.node.lattice import T_MIN
 from raygrid.node.surfaces import Batch, Kind, SurfaceSet, merge
-from support_kernels import built, closest_each
-from support_surfaces import (
-    F64,
-    Generator,
-    batch,
-    frame_of,
-    points_on,
-    random_rows,
-    rows_on_planes,
-    shuffled_ids,
-    unit_vectors,
-)
 
 PLANES = [np.array([-0.375, -0.25, 0.0, 0.125, 0.25])] * 3
 

@@ -10,10 +10,12 @@ import threading
 import numpy as np
 import psutil
 import pytest
-import raygrid
-from raygrid.host.load import load_scene
 from support_cli import TINY, here, warm_kernels
 from support_render import EIGHT, SCENES, rendered
+
+import raygrid
+from raygrid.host.load import load_scene
+import itertools
 
 __all__ = ["warm_kernels"]
 
@@ -104,7 +106,9 @@ def test_settings(machine, settings):
 
 def test_a_scene_s_own_settings_hold_unless_others_are_given(tmp_path, machine):
     scene = tmp_path / "small.toml"
-    scene.write_text("[image]\nwidth = 12\nheight = 7\nsamples = 3\ndepth = 2\n[[surfaces]]\nkind = 'sphere'\ncentre = [0, 0, 0]\nradius = 1\n")
+    scene.write_text(
+        "[image]\nwidth = 12\nheight = 7\nsamples = 3\ndepth = 2\n[[surfaces]]\nkind = 'sphere'\ncentre = [0, 0, 0]\nradius = 1\n"
+    )
     picture = machine.render(scene)
     assert (picture.sums.shape, picture.samples, picture.stats["depth"]) == ((7, 12, 3), 3, 2)
     assert machine.render(scene, samples=1).samples == 1
@@ -115,7 +119,7 @@ def test_progress_is_told(machine):
     machine.render(TINY, size=(200, 200), watch=lambda phase, progress: told.append((phase, progress)))
     assert [phase for phase, progress in told if progress is None] == ["load", "trace", "collect"]
     traced = [progress for phase, progress in told if progress is not None]
-    assert all(now.primaries >= before.primaries for before, now in zip(traced, traced[1:], strict=False))
+    assert all(now.primaries >= before.primaries for before, now in itertools.pairwise(traced))
     assert traced[-1].in_flight == 0
 
 
@@ -156,7 +160,9 @@ def test_shapes_that_are_none(shape):
 
 
 def test_an_array_that_does_not_fit():
-    with pytest.raises(raygrid.ArrayError, match=r"a 1000x1000x1000 array does not fit .+; largest that fits: (\d+)x\1x\1$"):
+    with pytest.raises(
+        raygrid.ArrayError, match=r"a 1000x1000x1000 array does not fit .+; largest that fits: (\d+)x\1x\1$"
+    ):
         raygrid.launch((1000, 1000, 1000))
 
 

@@ -9,9 +9,6 @@ import pytest
 from numpy.typing import NDArray
 from oracle import OracleScene, SceneBuilder, intersect_one
 from oracle.examples import AHEAD, HAND
-from raygrid.node.intersect import GRAZING
-from raygrid.node.lattice import SLACK
-from raygrid.node.surfaces import Batch, Kind, SurfaceSet
 from support_distance import crossing_number
 from support_kernels import built, meet_each
 from support_surfaces import (
@@ -27,6 +24,10 @@ from support_surfaces import (
     sizes_of,
     unit_vectors,
 )
+
+from raygrid.node.intersect import GRAZING
+from raygrid.node.lattice import SLACK
+from raygrid.node.surfaces import Batch, Kind, SurfaceSet
 
 INF = math.inf
 

@@ -8,10 +8,11 @@ import math
 
 import numpy as np
 import pytest
-from raygrid.host.cameras import orthographic_camera, perspective_camera
-from raygrid.host.scene_lights import directional_light, point_light, spot_light
 from support_render import EIGHT, ONE, rendered
 from support_stage import UP, Stage, edge, line_camera, places
+
+from raygrid.host.cameras import orthographic_camera, perspective_camera
+from raygrid.host.scene_lights import directional_light, point_light, spot_light
 
 DIRECT, BOUNCED = 3e-5, 1e-3
 
@@ -173,7 +174,9 @@ def test_two_facing_mirrors_add_up_to_the_depth(shape, depth):
     mirror = stage.material(diffuse=0.2, specular=0.8)
     stage.level((-1, 1), (-1, 1), 1.0, mirror)
     stage.level((-1, 1), (-1, 1), -1.0, mirror)
-    picture = rendered(stage.scene(line_camera((0, 0, 0.5), (0, 0, 1), (0, 1, 0), 0.001)), shape, size=(1, 1), depth=depth)
+    picture = rendered(
+        stage.scene(line_camera((0, 0, 0.5), (0, 0, 1), (0, 1, 0), 0.001)), shape, size=(1, 1), depth=depth
+    )
     expected = 0.2 * sum(0.8**k for k in range(depth))
     assert np.abs(picture.linear() - expected).max() < BOUNCED * expected
     born = picture.stats["total"]["born"]

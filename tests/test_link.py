@@ -10,13 +10,6 @@ import pytest
 import zmq
 from hypothesis import given
 from hypothesis import strategies as st
-from raygrid.node.errors import ProtocolError
-from raygrid.node.link import Link, State
-from raygrid.node.memory_pair import MemoryPair, memory_pair
-from raygrid.node.messages import MAX_MESSAGE, VERSION, WINDOW, MessageKind, pack_order, read_header, read_order
-from raygrid.node.packets import SIZE
-from raygrid.node.pair import Pair
-from raygrid.node.step import HEAD
 from support_cases import steady
 from support_links import (
     LEFT,
@@ -33,6 +26,14 @@ from support_links import (
     zeromq_wire,
 )
 from support_messages import message
+
+from raygrid.node.errors import ProtocolError
+from raygrid.node.link import Link, State
+from raygrid.node.memory_pair import MemoryPair, memory_pair
+from raygrid.node.messages import MAX_MESSAGE, VERSION, WINDOW, MessageKind, pack_order, read_header, read_order
+from raygrid.node.packets import SIZE
+from raygrid.node.pair import Pair
+from raygrid.node.step import HEAD
 
 PACKETS, SURFACES, DOWN, UP = MessageKind.PACKETS, MessageKind.SURFACES, MessageKind.DOWN, MessageKind.UP
 HELLO, ACK, CREDIT, BYE, BYE_ACK = (
@@ -208,9 +209,7 @@ def test_a_lost_or_doubled_message_is_noticed(wire, what, nth):
     talk = Talk(wire, left=Meddler(wire.ends[0], PACKETS, nth, what)).up()
     for _ in range(4):
         talk.links[0].send_data(PACKETS, 1, bytes(SIZE))
-    with pytest.raises(
-        ProtocolError, match=r"link right: message \d+ \(PACKETS\) came, wanted \d+: messages"
-    ):
+    with pytest.raises(ProtocolError, match=r"link right: message \d+ \(PACKETS\) came, wanted \d+: messages"):
         talk.until(lambda: False, "an error")
     assert len(talk.heard[1]) == (nth if what is doubled else nth - 1)
 
@@ -260,9 +259,7 @@ def test_numbers_run_over_their_end(wire):
 def test_credit_for_what_was_never_sent_is_refused(wire, credit):
     talk = Talk(wire).up()
     wire.ends[1].send(message(CREDIT, sequence=2, credit=credit))
-    with pytest.raises(
-        ProtocolError, match=f"the peer says it has processed {credit} messages, 0 were sent"
-    ):
+    with pytest.raises(ProtocolError, match=f"the peer says it has processed {credit} messages, 0 were sent"):
         _receive(wire, talk.links[0])
 
 

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
+
 from raygrid.host.load import load_scene
 from raygrid.host.scene_mtl import mtl_material
 from raygrid.host.textures import Texture, Wrap, as_bytes, bake, linear, read_picture

@@ -7,6 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support_cases import steady
+from support_messages import message, orders, random_batch, same_batch, surfaces_message
+
 from raygrid.node.errors import ProtocolError
 from raygrid.node.messages import (
     DEEPEST,
@@ -24,8 +27,6 @@ from raygrid.node.messages import (
 from raygrid.node.packets import SIZE
 from raygrid.node.step import HEAD
 from raygrid.node.surfaces import Batch, Kind
-from support_cases import steady
-from support_messages import message, orders, random_batch, same_batch, surfaces_message
 
 KINDS = list(MessageKind)
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from raygrid.host.nff import load_nff, parse_nff
 from raygrid.node.errors import SceneError
 from raygrid.node.frame import POINT

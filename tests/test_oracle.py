@@ -197,9 +197,13 @@ def test_concave_polygon(axes, start):
     builder = SceneBuilder()
     builder.polygon([np.array([x, y, 0.3 * x - 0.2 * y])[list(axes)] for x, y in outline], builder.material())
     scene = builder.build(AHEAD)
-    hits = {(i, j) for i, j in itertools.product(range(-3, 33), repeat=2)
-            if intersect_one(scene, 0, np.array([i / 10 + 0.05, j / 10 + 0.05, 9.0])[list(axes)],
-                             np.array([0.0, 0.0, -1.0])[list(axes)])}
+    hits = {
+        (i, j)
+        for i, j in itertools.product(range(-3, 33), repeat=2)
+        if intersect_one(
+            scene, 0, np.array([i / 10 + 0.05, j / 10 + 0.05, 9.0])[list(axes)], np.array([0.0, 0.0, -1.0])[list(axes)]
+        )
+    }
     expected = {(i, j) for i, j in itertools.product(range(30), repeat=2) if not (10 <= i < 20 and j >= 10)}
     assert hits == expected
 
@@ -210,13 +214,16 @@ def test_intersections_by_hand(name, origin, direction, expected):
     assert intersect_one(scene, index[name], origin, direction) == pytest.approx(expected, abs=1e-12)
 
 
-@pytest.mark.parametrize(("name", "point", "normal"), [
-    ("sphere of radius 2", (0, 2, 0), (0, 1, 0)),
-    ("cylinder", (0, -1, 1), (0, -1, 0)),
-    ("cone", (1, 0, 1), (1, 0, 1)),
-    ("frustum", (0, 1.5, 1), (0, 2, 1)),
-    ("triangle", (0.2, 0.2, 0), (0, 0, 1)),
-])
+@pytest.mark.parametrize(
+    ("name", "point", "normal"),
+    [
+        ("sphere of radius 2", (0, 2, 0), (0, 1, 0)),
+        ("cylinder", (0, -1, 1), (0, -1, 0)),
+        ("cone", (1, 0, 1), (1, 0, 1)),
+        ("frustum", (0, 1.5, 1), (0, 2, 1)),
+        ("triangle", (0.2, 0.2, 0), (0, 0, 1)),
+    ],
+)
 def test_outward_normals(name, point, normal):
     scene, index = zoo()
     found = kernels.outward_normal(scene.surfaces, index[name], tuple(float(c) for c in point))
@@ -300,14 +307,17 @@ def test_nff_by_tokens():
     assert parse_nff(TEXT, highlights=True).materials.highlight[0].tolist() == [0.5, 0.5, 0.5]
 
 
-@pytest.mark.parametrize(("old", "new", "message"), [
-    ("s 0 0", "s 0 x", "nff:7: a number is wanted, not 'x'"),
-    ("resolution", "hither", "nff:4: each of from at .* not 'hither'"),
-    ("f 1 .5 0 .8 .5 3 .25 1.5", "", "nff:7: an f before the first surface is wanted, not 's'"),
-    ("pp 3", "pp 4", "nff:13: a pp of 3 points is wanted"),
-    ("0 1 0 0 0 1\n", "0 1 0", "nff: ends in the middle of an entity"),
-    ("# a comment", "comment", "nff:1: one of v b l f s c p pp is wanted, not 'comment'"),
-])
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("s 0 0", "s 0 x", "nff:7: a number is wanted, not 'x'"),
+        ("resolution", "hither", "nff:4: each of from at .* not 'hither'"),
+        ("f 1 .5 0 .8 .5 3 .25 1.5", "", "nff:7: an f before the first surface is wanted, not 's'"),
+        ("pp 3", "pp 4", "nff:13: a pp of 3 points is wanted"),
+        ("0 1 0 0 0 1\n", "0 1 0", "nff: ends in the middle of an entity"),
+        ("# a comment", "comment", "nff:1: one of v b l f s c p pp is wanted, not 'comment'"),
+    ],
+)
 def test_nff_errors_say_where(old, new, message):
     with pytest.raises(NffError, match=message):
         parse_nff(TEXT.replace(old, new, 1))

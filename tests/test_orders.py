@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support_cases import steady
+from support_messages import message, values
+from support_space import spaces, uneven_space
+
 from raygrid.node.errors import ProtocolError
 from raygrid.node.messages import MAX_MESSAGE, MessageKind, pack_order, read_order
 from raygrid.node.orders import frame_order, read_frame, read_space, space_order
 from raygrid.node.packets import LATTICE, MAX_LIGHTS
 from raygrid.node.surfaces import MAX_MATERIALS
 from raygrid.node.tables import LIGHT_COLUMNS, MATERIAL_COLUMNS, Frame
-from support_cases import steady
-from support_messages import message, values
-from support_space import spaces, uneven_space
 
 SPACE = space_order(uneven_space())
 

@@ -6,11 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from raygrid.node.hierarchy import INFLATE
-from raygrid.node.intersect import GRAZING
-from raygrid.node.lattice import SLACK
-from raygrid.node.overlap import meets
-from raygrid.node.surfaces import Batch, Kind, SurfaceSet
 from support_distance import crossing_number, distance
 from support_kernels import built, meet_each
 from support_surfaces import (
@@ -25,6 +20,12 @@ from support_surfaces import (
     rows_on_planes,
     unit_vectors,
 )
+
+from raygrid.node.hierarchy import INFLATE
+from raygrid.node.intersect import GRAZING
+from raygrid.node.lattice import SLACK
+from raygrid.node.overlap import meets
+from raygrid.node.surfaces import Batch, Kind, SurfaceSet
 
 FLAT = (Kind.TRIANGLE, Kind.SMOOTH, Kind.POLYGON)
 PLANES = [np.array([-1 / 3, -0.25, 0.0, 0.125, 1 / 3]).astype(np.float32).astype(np.float64)] * 3

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support_cases import steady
+from support_packets import pixel_bytes, ray_bytes, return_bytes, rewritten, rows, shadow_bytes
+
 from raygrid.node import packets
 from raygrid.node.errors import PacketError
 from raygrid.node.packets import FAULTS, HALF_DIRECTION, SIZE, Limits, Packet, PacketKind
-from support_cases import steady
-from support_packets import pixel_bytes, ray_bytes, return_bytes, rewritten, rows, shadow_bytes
 
 H = HALF_DIRECTION
 LAST = packets.LATTICE - 1

@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support_cameras import bad_places
+from support_cases import steady
+from support_frames import make_frame
+from support_space import UNEVEN_STEP, even_space, indices
+
 from raygrid.node import packets
 from raygrid.node.lattice import make_cell
 from raygrid.node.packets import MAX_PIXEL_SAMPLES, MAX_PIXEL_SUM, SIZE
 from raygrid.node.pixels import MAX_INTENSITY, UNIT, Pixels, fixed_point, make_pixels, send_pixels, slot
 from raygrid.node.tables import BORN, COUNTS
-from support_cameras import bad_places
-from support_cases import steady
-from support_frames import make_frame
-from support_space import UNEVEN_STEP, even_space, indices
 
 WIDTH = 40
 

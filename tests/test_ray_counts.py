@@ -5,8 +5,9 @@ POV-Ray 3.7 and confirmed by SPD's own figures. A ray that is totally reflected 
 """
 
 import pytest
-from raygrid.host.load import load_scene
 from support_render import EIGHT, ONE, rendered, shared
+
+from raygrid.host.load import load_scene
 
 TOLERANCE = 0.005
 
@@ -40,13 +41,17 @@ def born(name, shape):
     return total["born"]
 
 
-@pytest.mark.parametrize("name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in COUNTS])
+@pytest.mark.parametrize(
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in COUNTS]
+)
 def test_as_many_rays_are_born_as_other_renderers_count(name):
     counted = born(name, ONE)
     for kind, expected in zip(KINDS, COUNTS[name], strict=True):
         assert counted[kind] == pytest.approx(expected, rel=TOLERANCE), kind
 
 
-@pytest.mark.parametrize("name", [name if name == "gears_1" else pytest.param(name, marks=pytest.mark.slow) for name in QUICK])
+@pytest.mark.parametrize(
+    "name", [name if name == "gears_1" else pytest.param(name, marks=pytest.mark.slow) for name in QUICK]
+)
 def test_eight_processors_bear_the_same_rays_as_one(name):
     assert born(name, EIGHT) == born(name, ONE)

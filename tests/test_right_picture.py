@@ -9,10 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from oracle import read_nff, render
-from raygrid.host.load import load_scene
-from raygrid.host.scene_lights import NO_DISC
 from support_oracle import oracle_scene, sample_offsets
 from support_render import EIGHT, ONE, SCENES, noticeable, psnr, rendered, shared
+
+from raygrid.host.load import load_scene
+from raygrid.host.scene_lights import NO_DISC
 
 LEAST_PSNR = 50.0
 MOST_NOTICEABLE = 0.001
@@ -33,9 +34,7 @@ def check(scene, truth, counts, **settings):
 
 
 @pytest.mark.parametrize("highlights", [False, True], ids=["plain", "highlights"])
-@pytest.mark.parametrize(
-    "name", ["balls_2", "gears_1", "mount_4", "rings_2", "teapot_3", "tetra_4"]
-)
+@pytest.mark.parametrize("name", ["balls_2", "gears_1", "mount_4", "rings_2", "teapot_3", "tetra_4"])
 def test_standard_scenes(name, highlights):
     path = shared("spd", f"{name}.nff")
     truth, counts = render(read_nff(path, 128, 128, highlights=highlights), 128, 128)
@@ -83,7 +82,9 @@ def test_scenes_of_ours(name, size, samples, shown):
     check(scene, truth, counts, size=size, samples=samples, depth=depth, highlights=shown)
 
 
-@pytest.mark.parametrize("size", [(31, 17), (17, 31), (1, 9), (9, 1), (1, 1)], ids=lambda size: "x".join(map(str, size)))
+@pytest.mark.parametrize(
+    "size", [(31, 17), (17, 31), (1, 9), (9, 1), (1, 1)], ids=lambda size: "x".join(map(str, size))
+)
 @pytest.mark.parametrize("name", ["kinds.nff", "glass.toml", "checker.obj"])
 def test_pictures_of_odd_sizes(name, size):
     """Each of these files measures its angle of view in another way."""

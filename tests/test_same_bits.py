@@ -7,13 +7,14 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from support_render import shared
+
 from raygrid.emulator.array import Array
 from raygrid.emulator.memory_array import MemoryArray
 from raygrid.host.job import Settings, make_job
 from raygrid.host.load import load_scene
 from raygrid.host.picture import Picture
 from raygrid.host.render import render_job
-from support_render import shared
 
 SCENES = Path(__file__).parents[1] / "scenes"
 SHAPES = [(1, 1, 1), (2, 1, 1), (4, 3, 1), (2, 2, 2), (3, 3, 3), (5, 4, 2)]

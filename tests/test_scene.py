@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from raygrid.host.cameras import perspective_camera
 from raygrid.host.load import READERS, load_scene
 from raygrid.host.scene import describe

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from raygrid.host.cameras import (
     Span,
     look_at_everything,

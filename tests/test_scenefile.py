@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from raygrid.host.load import load_scene
 from raygrid.host.scene_polygons import area_vectors
 from raygrid.host.scene_toml_errors import line_of

@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 from numba import njit
 from numpy.typing import NDArray
+from support_render import SCENES
+from support_surfaces import batch, random_rows
+
 from raygrid.emulator import pilot as pilot_module
 from raygrid.emulator import split as split_module
 from raygrid.emulator.memory_array import MemoryArray
@@ -21,8 +24,6 @@ from raygrid.node.errors import ArrayError
 from raygrid.node.lattice import THINNEST_CELL, Space, make_space
 from raygrid.node.packets import LATTICE
 from raygrid.node.surfaces import Batch, Kind, SurfaceSet, merge
-from support_render import SCENES
-from support_surfaces import batch, random_rows
 
 WALKS = Weights(walk=1.0, box=0.0, hit=0.0, primary=0.0, hop=0.0, returned=0.0, taken_in=0.0, held=0.0)
 Shape = tuple[int, int, int]

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support_cli import here, warm_kernels
+from support_render import SCENES, rendered
+
 from raygrid.host.load import load_scene
 from raygrid.node.packets import PacketKind
 from raygrid.node.surfaces import Kind
-from support_cli import here, warm_kernels
-from support_render import SCENES, rendered
 
 __all__ = ["warm_kernels"]
 
@@ -51,7 +52,12 @@ def test_every_key_is_documented_and_every_documented_key_is_there(stats):
 
 def test_a_line_for_each_key_and_each_node(tmp_path, stats):
     path = tmp_path / "y.json"
-    assert here("render", str(SCENES / "tiny.nff"), "--size", "8x8", "-o", str(tmp_path / "y.npy"), "--stats", str(path)).code == 0
+    assert (
+        here(
+            "render", str(SCENES / "tiny.nff"), "--size", "8x8", "-o", str(tmp_path / "y.npy"), "--stats", str(path)
+        ).code
+        == 0
+    )
     lines = path.read_text().splitlines()
     assert len(lines) == 2 + len(stats) - 1 + 8 + 2
 

@@ -6,6 +6,12 @@ import functools
 
 import numpy as np
 import pytest
+from support_cameras import bad_places
+from support_driver import Grid, inject
+from support_kernels import ray_packets
+from support_scenes import EVEN_STEP, SHAPES, Rays, Scene, birth_cells, mixed_scene, space_of, trouble
+from support_surfaces import F64
+
 from raygrid.node import packets
 from raygrid.node.lattice import HALF
 from raygrid.node.packets import SIZE
@@ -13,13 +19,13 @@ from raygrid.node.step import HEAD
 from raygrid.node.surfaces import Kind
 from raygrid.node.tables import BORN, BOXES, DIED, HITS, SENT, TESTS, WALKS
 from raygrid.node.walk import HOST, SELF, SELF_RAYS
-from support_cameras import bad_places
-from support_driver import Grid, inject
-from support_kernels import ray_packets
-from support_scenes import EVEN_STEP, SHAPES, Rays, Scene, birth_cells, mixed_scene, space_of, trouble
-from support_surfaces import F64
 
 STEPS = {"even": EVEN_STEP, "askew": (0.55 / HALF, 0.37 / HALF, 0.47 / HALF)}
+# cells so thin that births land many cells away
+ALL_STEPS = STEPS | {
+    "flat": (0.55 / HALF, 0.37 / HALF, 2.1e-3 / HALF),
+    "rod": (2.3e-3 / HALF, 0.9 / HALF, 2.1e-3 / HALF),
+}
 RAY_KINDS = [packets.PRIMARY, packets.REFLECTED, packets.REFRACTED]
 
 
@@ -111,10 +117,10 @@ def flown(scene: Scene, rays: Rays, shape: str, schedule: int) -> Grid:
 
 def check_no_ray_differs(seed: int, step: str, n_rays: int) -> None:
     """Each ray has a pixel of its own, so a ray that differs is named by its pixel."""
-    scene, rays = trouble(seed, STEPS[step], n_rays)
+    scene, rays = trouble(seed, ALL_STEPS[step], n_rays)
     one = flown(scene, rays, SHAPES[0], seed)
     picture, counts = one.sums(), one.counts()
-    assert counts[HITS] > n_rays
+    assert counts[HITS] > n_rays // 4
     for shape in SHAPES[1:]:
         grid = flown(scene, rays, shape, seed + 1)
         differ = np.flatnonzero((grid.sums() != picture).any(1))
@@ -122,18 +128,17 @@ def check_no_ray_differs(seed: int, step: str, n_rays: int) -> None:
         np.testing.assert_array_equal(grid.counts()[BORN:SENT], counts[BORN:SENT])
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-@pytest.mark.parametrize("step", STEPS)
+@pytest.mark.parametrize(("step", "seed"), [("even", 1), ("even", 2), ("askew", 1), ("flat", 1), ("rod", 1)])
 def test_no_ray_differs_between_shapes(step, seed):
-    check_no_ray_differs(seed, step, 12_500)
+    check_no_ray_differs(seed, step, 10_000)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(100, 115))
-@pytest.mark.parametrize("step", STEPS)
+@pytest.mark.parametrize("step", ALL_STEPS)
 def test_no_ray_of_very_many_differs(step, seed):
-    """1,800,000 rays, in 30 scenes."""
-    check_no_ray_differs(seed, step, 60_000)
+    """1,800,000 rays, in 60 scenes."""
+    check_no_ray_differs(seed, step, 30_000)
 
 
 # --- counts -------------------------------------------------------------------------------------------------

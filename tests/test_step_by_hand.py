@@ -7,16 +7,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support_frames import directional_light, make_frame, material, point_light
+from support_one import FRONT, SIZE_OF_PICTURE, Vector, lattice, place, ray, returning, serve, shadow
+from support_packets import pixel_bytes
+from support_surfaces import F64
+
 from raygrid.node import packets
 from raygrid.node.lattice import HALF, LIFT, T_MIN
 from raygrid.node.packets import PRIMARY, REFLECTED, REFRACTED, RETURN, SHADOW
 from raygrid.node.surfaces import Kind
 from raygrid.node.tables import BORN, DIED, HITS, MISADDRESSED, WALKS, Frame
 from raygrid.node.walk import HOST, SELF, SELF_RAYS
-from support_frames import directional_light, make_frame, material, point_light
-from support_one import FRONT, SIZE_OF_PICTURE, Vector, lattice, place, ray, returning, serve, shadow
-from support_packets import pixel_bytes
-from support_surfaces import F64
 
 STEP = 2.0**-24
 CODE = 4.25 * 2.0**-24  # most that a direction is off

@@ -13,7 +13,9 @@ __all__ = ["warm_kernels"]
 pytestmark = pytest.mark.usefixtures("warm_kernels", "no_leftovers")
 
 # A floor that fills the picture and is not lit: hardly any work for many pixels.
-FLOOR = "v from 0 0 5 at 0 0 0 up 0 1 0 angle 40 hither 1 resolution 9 9 f 1 1 1 1 0 0 0 0 p 4 -9 -9 0 9 -9 0 9 9 0 -9 9 0"
+FLOOR = (
+    "v from 0 0 5 at 0 0 0 up 0 1 0 angle 40 hither 1 resolution 9 9 f 1 1 1 1 0 0 0 0 p 4 -9 -9 0 9 -9 0 9 9 0 -9 9 0"
+)
 LONG = ["render", TINY, "--size", "3000x3000", "--samples", "16", "-o", "x.png", "-o", "x.npy", "--stats", "x.json"]
 MANY_PIXELS = ["render", "floor.nff", "--size", "3000x2000", "-o", "x.png", "-o", "x.npy", "--stats", "x.json"]
 

@@ -9,6 +9,9 @@ from fractions import Fraction
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support_cases import steady
+from support_space import Index, cells, even_planes, even_space, index_of, neighbour, origins, spaces, uneven_space
+
 from raygrid.node.errors import SceneError
 from raygrid.node.lattice import HALF, THINNEST_CELL, Cell, Space, cell_index, coordinate, make_space, nearest
 from raygrid.node.packets import HALF_DIRECTION, LATTICE, unit_vector
@@ -24,8 +27,6 @@ from raygrid.node.walk import (
     towards_cell,
     towards_start,
 )
-from support_cases import steady
-from support_space import Index, cells, even_planes, even_space, index_of, neighbour, origins, spaces, uneven_space
 
 Vector = tuple[float, float, float]
 Hop = tuple[Index, float, float, int]  # cell, t_in, t_out, exit port

@@ -70,14 +70,16 @@ def _number(word: str) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def read_nff(path: str | Path, width: int | None = None, height: int | None = None, *,
-             highlights: bool = False) -> OracleScene:
+def read_nff(
+    path: str | Path, width: int | None = None, height: int | None = None, *, highlights: bool = False
+) -> OracleScene:
     """The scene in a file, its camera for a picture of width x height (if None, the file's own resolution)."""
     return parse_nff(Path(path).read_text(encoding="ascii"), width, height, highlights=highlights, name=str(path))
 
 
-def parse_nff(text: str, width: int | None = None, height: int | None = None, *, highlights: bool = False,
-              name: str = "nff") -> OracleScene:
+def parse_nff(
+    text: str, width: int | None = None, height: int | None = None, *, highlights: bool = False, name: str = "nff"
+) -> OracleScene:
     tokens = Tokens(text, name)
     reader = _Reader(tokens, highlights)
     while tokens.more():
@@ -98,8 +100,16 @@ class _Reader:
         self._lights: list[tuple[list[float], list[float]]] = []  # position, colour
 
     def entity(self, word: str) -> None:
-        entities = {"v": self._read_view, "b": self._read_background, "l": self._read_light, "f": self._read_fill,
-                    "s": self._read_sphere, "c": self._read_cone, "p": self._read_polygon, "pp": self._read_patch}
+        entities = {
+            "v": self._read_view,
+            "b": self._read_background,
+            "l": self._read_light,
+            "f": self._read_fill,
+            "s": self._read_sphere,
+            "c": self._read_cone,
+            "p": self._read_polygon,
+            "pp": self._read_patch,
+        }
         if word not in entities:
             raise self._tokens.error("one of v b l f s c p pp is wanted")
         if word in ("s", "c", "p", "pp") and self._material < 0:
@@ -136,8 +146,13 @@ class _Reader:
         colour = np.array(self._tokens.numbers(3))
         kd, ks, shine, t, ior = self._tokens.numbers(5)
         self._material = self._builder.material(
-            diffuse=kd * colour, specular=ks, shine=shine, transmission=t, ior=ior,
-            highlight=ks if self._highlights else 0.0)
+            diffuse=kd * colour,
+            specular=ks,
+            shine=shine,
+            transmission=t,
+            ior=ior,
+            highlight=ks if self._highlights else 0.0,
+        )
 
     def _read_sphere(self) -> None:
         *centre, radius = self._tokens.numbers(4)

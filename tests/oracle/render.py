@@ -38,8 +38,9 @@ def radiance(scene: OracleScene, origin: Vector, direction: Vector) -> tuple[np.
     return np.array(colour), _named(counts)
 
 
-def first_hit(scene: OracleScene, origin: Vector, direction: Vector, t_min: float = 0.0,
-              t_max: float = math.inf) -> tuple[float, int]:
+def first_hit(
+    scene: OracleScene, origin: Vector, direction: Vector, t_min: float = 0.0, t_max: float = math.inf
+) -> tuple[float, int]:
     """(t, surface) of the first hit with t_min < t < t_max, t in lengths of `direction`; (inf, -1) if there is none.
     Of equal hits the surface of the smallest index."""
     way, length = _unit_and_length(direction)
@@ -65,5 +66,9 @@ def _unit_and_length(direction: Vector) -> tuple[Triple, float]:
 
 
 def _named(counts: np.ndarray) -> Counts:
-    return {"primary": int(counts[PRIMARY]), "reflected": int(counts[REFLECTED]),
-            "refracted": int(counts[REFRACTED]), "shadow": int(counts[SHADOW])}
+    return {
+        "primary": int(counts[PRIMARY]),
+        "reflected": int(counts[REFLECTED]),
+        "refracted": int(counts[REFRACTED]),
+        "shadow": int(counts[SHADOW]),
+    }

@@ -61,8 +61,9 @@ class OracleScene:
 
     def world(self) -> World:
         epsilon = self.epsilon if self.epsilon > 0.0 else EPSILON_PER_EXTENT * extent(self.surfaces)
-        return World(self.surfaces, self.materials, self.lights, self.background, self.max_depth,
-                     float(self.min_weight), epsilon)
+        return World(
+            self.surfaces, self.materials, self.lights, self.background, self.max_depth, float(self.min_weight), epsilon
+        )
 
 
 def extent(surfaces: Surfaces) -> float:
@@ -150,25 +151,35 @@ class SceneBuilder:
         self._materials: list[Row] = []
         self._lights: list[Row] = []
 
-    def material(self, diffuse: float | Vector = 0.0, specular: float | Vector = 0.0, shine: float = 1.0,
-                 transmission: float | Vector = 0.0, ior: float = 1.0, highlight: float | Vector = 0.0) -> int:
+    def material(
+        self,
+        diffuse: float | Vector = 0.0,
+        specular: float | Vector = 0.0,
+        shine: float = 1.0,
+        transmission: float | Vector = 0.0,
+        ior: float = 1.0,
+        highlight: float | Vector = 0.0,
+    ) -> int:
         """Index of a new material. Colours are RGB or one number for a grey."""
         if max(_rgb(transmission)) > 0.0 and not ior > 0.0:
             raise ValueError(f"oracle: a transparent material has ior > 0, not {ior}")
         if not shine >= 0.0:
             raise ValueError(f"oracle: shine is >= 0, not {shine}")
         self._materials.append(
-            (_rgb(diffuse), _rgb(specular), float(shine), _rgb(transmission), float(ior), _rgb(highlight)))
+            (_rgb(diffuse), _rgb(specular), float(shine), _rgb(transmission), float(ior), _rgb(highlight))
+        )
         return len(self._materials) - 1
 
     def triangle(self, vertices: Sequence[Vector] | np.ndarray, material: int) -> int:
         return self._flat(TRIANGLE, np.array(vertices, float).reshape(3, 3), material)
 
-    def smooth_triangle(self, vertices: Sequence[Vector] | np.ndarray, normals: Sequence[Vector] | np.ndarray,
-                        material: int) -> int:
+    def smooth_triangle(
+        self, vertices: Sequence[Vector] | np.ndarray, normals: Sequence[Vector] | np.ndarray, material: int
+    ) -> int:
         """The normals are weighted as given; only their weighted sum is made a unit vector."""
-        return self._flat(SMOOTH_TRIANGLE, np.array(vertices, float).reshape(3, 3), material,
-                          np.array(normals, float).reshape(3, 3))
+        return self._flat(
+            SMOOTH_TRIANGLE, np.array(vertices, float).reshape(3, 3), material, np.array(normals, float).reshape(3, 3)
+        )
 
     def polygon(self, vertices: Sequence[Vector] | np.ndarray, material: int) -> int:
         """A plane polygon of any shape that does not cross itself."""
@@ -187,39 +198,87 @@ class SceneBuilder:
         around = math.hypot(half, max(abs(r_base), abs(r_apex)))
         return self._add(CONE, material, ends, (r_base, r_apex), np.zeros(3), ends.mean(axis=0), around)
 
-    def point_light(self, position: Vector, colour: float | Vector = 1.0, *, inverse_square: bool = False,
-                    spot: tuple[Vector, float, float] | None = None) -> int:
+    def point_light(
+        self,
+        position: Vector,
+        colour: float | Vector = 1.0,
+        *,
+        inverse_square: bool = False,
+        spot: tuple[Vector, float, float] | None = None,
+    ) -> int:
         """`spot`: direction in which it shines, cosine of the inner angle, cosine of the outer angle."""
         axis, cos_inner, cos_outer = spot if spot is not None else ((0.0, 0.0, 0.0), 1.0, 0.0)
         if not cos_inner > cos_outer:
             raise ValueError(f"oracle: a spot's inner angle is the smaller one; cosines {cos_inner} and {cos_outer}")
-        self._lights.append((POINT_LIGHT, np.array(position, float), _rgb(colour), int(inverse_square),
-                             int(spot is not None), _unit(np.array(axis, float)), float(cos_inner), float(cos_outer)))
+        self._lights.append(
+            (
+                POINT_LIGHT,
+                np.array(position, float),
+                _rgb(colour),
+                int(inverse_square),
+                int(spot is not None),
+                _unit(np.array(axis, float)),
+                float(cos_inner),
+                float(cos_outer),
+            )
+        )
         return len(self._lights) - 1
 
     def directional_light(self, towards: Vector, colour: float | Vector = 1.0) -> int:
         """A light at infinity in direction `towards`, as seen from the scene."""
-        self._lights.append((DIRECTIONAL_LIGHT, _unit(np.array(towards, float)), _rgb(colour), 0, 0,
-                             np.zeros(3), 1.0, 0.0))
+        self._lights.append(
+            (DIRECTIONAL_LIGHT, _unit(np.array(towards, float)), _rgb(colour), 0, 0, np.zeros(3), 1.0, 0.0)
+        )
         return len(self._lights) - 1
 
-    def build(self, camera: Camera, background: float | Vector = 0.0, *, max_depth: int = 5,
-              min_weight: float = 0.0, epsilon: float = 0.0) -> OracleScene:
+    def build(
+        self,
+        camera: Camera,
+        background: float | Vector = 0.0,
+        *,
+        max_depth: int = 5,
+        min_weight: float = 0.0,
+        epsilon: float = 0.0,
+    ) -> OracleScene:
         for row in self._surfaces:
             if not 0 <= row[1] < len(self._materials):
                 raise ValueError(f"oracle: surface of material {row[1]}, and there are {len(self._materials)}")
         kind, material, first, count, radii, normal, centre, radius = _columns(self._surfaces, 8)
         surfaces = Surfaces(
-            _ints(kind), _ints(material), _ints(first), _ints(count), _floats(radii, 2), _rows(self._points),
-            _rows(self._vertex_normals), _floats(normal, 3), _floats(centre, 3), _floats(radius))
+            _ints(kind),
+            _ints(material),
+            _ints(first),
+            _ints(count),
+            _floats(radii, 2),
+            _rows(self._points),
+            _rows(self._vertex_normals),
+            _floats(normal, 3),
+            _floats(centre, 3),
+            _floats(radius),
+        )
         diffuse, specular, shine, transmission, ior, highlight = _columns(self._materials, 6)
-        materials = Materials(_floats(diffuse, 3), _floats(specular, 3), _floats(shine), _floats(transmission, 3),
-                              _floats(ior), _floats(highlight, 3))
+        materials = Materials(
+            _floats(diffuse, 3),
+            _floats(specular, 3),
+            _floats(shine),
+            _floats(transmission, 3),
+            _floats(ior),
+            _floats(highlight, 3),
+        )
         kind, vector, colour, inverse_square, spot, axis, cos_inner, cos_outer = _columns(self._lights, 8)
-        lights = Lights(_ints(kind), _floats(vector, 3), _floats(colour, 3), _ints(inverse_square), _ints(spot),
-                        _floats(axis, 3), _floats(cos_inner), _floats(cos_outer))
-        return OracleScene(camera, surfaces, materials, lights, triple(_rgb(background)), max_depth, min_weight,
-                           epsilon)
+        lights = Lights(
+            _ints(kind),
+            _floats(vector, 3),
+            _floats(colour, 3),
+            _ints(inverse_square),
+            _ints(spot),
+            _floats(axis, 3),
+            _floats(cos_inner),
+            _floats(cos_outer),
+        )
+        return OracleScene(
+            camera, surfaces, materials, lights, triple(_rgb(background)), max_depth, min_weight, epsilon
+        )
 
     def _flat(self, kind: int, vertices: np.ndarray, material: int, normals: np.ndarray | None = None) -> int:
         if len(vertices) < 3:
@@ -228,8 +287,17 @@ class SceneBuilder:
         around = float(np.linalg.norm(vertices - middle, axis=1).max())
         return self._add(kind, material, vertices, (0.0, 0.0), newell_normal(vertices), middle, around, normals)
 
-    def _add(self, kind: int, material: int, points: np.ndarray, radii: tuple[float, float], normal: np.ndarray,
-             centre: np.ndarray, around: float, vertex_normals: np.ndarray | None = None) -> int:
+    def _add(
+        self,
+        kind: int,
+        material: int,
+        points: np.ndarray,
+        radii: tuple[float, float],
+        normal: np.ndarray,
+        centre: np.ndarray,
+        around: float,
+        vertex_normals: np.ndarray | None = None,
+    ) -> int:
         first = self._surfaces[-1][2] + self._surfaces[-1][3] if self._surfaces else 0  # after the one before
         self._surfaces.append((kind, material, first, len(points), radii, normal, centre, BOUND_MARGIN * around))
         self._points.append(points)
