@@ -406,7 +406,7 @@ def test_a_cut_or_damaged_glb_is_refused_or_read(tmp_path_factory, place, byte):
     try:
         assert len(read(path, bytes(made), "x.glb").surfaces) > 0
     except SceneError as error:
-        assert str(error).startswith(str(path))  # noqa: PT017 - both ways are right
+        assert str(error).startswith(str(path))
 
 
 def test_our_room():

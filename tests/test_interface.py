@@ -1,5 +1,6 @@
 """The Python interface: launch an array, render scenes on it, from anywhere a program may want to."""
 
+import itertools
 import math
 import os
 import re
@@ -15,7 +16,6 @@ from support_render import EIGHT, SCENES, rendered
 
 import raygrid
 from raygrid.host.load import load_scene
-import itertools
 
 __all__ = ["warm_kernels"]
 

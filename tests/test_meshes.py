@@ -214,7 +214,7 @@ def test_any_lines_either_parse_or_are_refused(tmp_path_factory, text):
     try:
         assert len(load_scene(path).surfaces) > 0
     except SceneError as error:
-        assert str(error).startswith(str(path))  # noqa: PT017 - both ways are right
+        assert str(error).startswith(str(path))
 
 
 # --- PLY and STL

@@ -272,7 +272,7 @@ def try_to_parse(data):
     try:
         scene = parsed(data)
     except SceneError as error:
-        assert str(error).startswith("x.nff")  # noqa: PT017 - both ways are right
+        assert str(error).startswith("x.nff")
         return
     assert len(scene.surfaces) > 0
     for batch in scene.surfaces:
@@ -315,7 +315,7 @@ def try_to_read(text):
     try:
         return parsed(text)
     except SceneError as error:
-        assert "without area" in str(error)  # noqa: PT017 - both ways are right
+        assert "without area" in str(error)
         return None
 
 
@@ -408,4 +408,4 @@ def test_spd_scenes_cut_anywhere_are_refused_or_shorter(file):
         try:
             assert len(parse_nff(file, text).surfaces) < whole
         except SceneError as error:
-            assert str(error).startswith(str(file))  # noqa: PT017 - both ways are right
+            assert str(error).startswith(str(file))
