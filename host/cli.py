@@ -187,7 +187,9 @@ def info(scene: str, as_json: bool) -> None:
 @click.argument("scene", type=click.Path())
 @click.option("--depth", type=Number(1, 31), metavar="N", help="As for render.  [default: the scene's, else 5]")
 @click.option("--highlights/--no-highlights", default=None, help="As for render.  [default: off for NFF, else on]")
-@click.option("-o", "--output", type=click.Path(), metavar="FILE", help="The file to write.  [default: the scene's name with .pov, here]")
+@click.option(
+    "-o", "--output", type=click.Path(), metavar="FILE", help="File to write.  [default: the scene's name with .pov, here]"
+)
 @_debug_option
 def export(scene: str, depth: int | None, highlights: bool | None, output: str | None) -> None:
     """Write a scene file for POV-Ray 3.7.

@@ -66,10 +66,8 @@ class Document:
         count = self._size(row, "count", where)
         if count * width > MAX_VALUES:
             raise self.error(f"{where} has {count} values, wanted at most {MAX_VALUES // width}")
-        if "bufferView" in row:
-            values = self._strided(row, dtype, width, count, where)
-        else:
-            values = np.zeros((count, width), dtype)
+        in_view = "bufferView" in row
+        values = self._strided(row, dtype, width, count, where) if in_view else np.zeros((count, width), dtype)
         if "sparse" in row:
             values = self._with_exceptions(values, row["sparse"], where)
         if row.get("normalized") and dtype.kind in "iu":
