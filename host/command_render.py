@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from raygrid.emulator.array import Array
+from raygrid.host.load import check_name
 from raygrid.host.outputs import check_different, check_path, check_picture_path, check_side, write_result
 from raygrid.host.progress import Talk
 
@@ -46,6 +47,7 @@ class Request:
 def run_render(request: Request) -> None:
     """Launch, read, load, trace, collect, write. Raises RaygridError."""
     begun = time.perf_counter()
+    check_name(request.scene)
     _check_outputs(request)
     with Talk(request.quiet) as talk:
         picture = _render(request, talk, begun)

@@ -21,13 +21,18 @@ READERS = {
 }
 
 
+def check_name(path: str | Path) -> None:
+    """Raise SceneError for what cannot be the name of a file."""
+    if not str(path) or "\0" in str(path):
+        raise SceneError(f"a scene came as {str(path)!r}, wanted the name of a file")
+
+
 def load_scene(path: str | Path) -> Scene:
     """Read a scene, of any format known.
 
     Raises SceneError for an unknown suffix, a missing or unreadable file, and whatever its reader refuses.
     """
-    if not str(path) or "\0" in str(path):
-        raise SceneError(f"a scene came as {str(path)!r}, wanted the name of a file")
+    check_name(path)
     path = Path(path)
     if os.path.isdir(path):
         raise SceneError(f"{path}: the scene is a directory, wanted a file of one of: {' '.join(READERS)}")

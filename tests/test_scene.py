@@ -224,7 +224,7 @@ def test_missing_files_and_directories(suffix, tmp_path):
     with pytest.raises(SceneError, match=f"no{suffix}: there is no such file"):
         load_scene(tmp_path / f"no{suffix}")
     (tmp_path / f"dir{suffix}").mkdir()
-    with pytest.raises(SceneError, match=f"dir{suffix}: the file cannot be read"):
+    with pytest.raises(SceneError, match=f"dir{suffix}: the scene is a directory, wanted a file"):
         load_scene(str(tmp_path / f"dir{suffix}"))
 
 
@@ -245,6 +245,7 @@ def test_suffixes_in_capitals(tmp_path):
         ("room.glb", 7428, 2),
         ("room.obj", 7428, 2),
         ("checker.obj", 512, 2),
+        ("tree.nff", 2187, 7),
     ],
 )
 def test_our_scenes(name, surfaces, lights):
