@@ -128,7 +128,7 @@ def cli() -> None:
 
 # fmt: off
 @cli.command(epilog=RENDER_EXAMPLES)
-@click.argument("scene", type=click.Path())
+@click.argument("scene")
 @click.option("--array", "shape", type=Shape(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
               help="Processors on each axis.")
 @click.option("--size", type=Pair(), metavar="WxH", help="Pixels.  [default: what the scene asks for, else 512x512]")
@@ -167,7 +167,7 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
 
 
 @cli.command(epilog=INFO_EXAMPLES)
-@click.argument("scene", type=click.Path())
+@click.argument("scene")
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 @_debug_option
 def info(scene: str, as_json: bool) -> None:
@@ -184,7 +184,7 @@ def info(scene: str, as_json: bool) -> None:
 
 
 @cli.command(epilog=EXPORT_EXAMPLES)
-@click.argument("scene", type=click.Path())
+@click.argument("scene")
 @click.option("--depth", type=Number(1, 31), metavar="N", help="As for render.  [default: the scene's, else 5]")
 @click.option("--highlights/--no-highlights", default=None, help="As for render.  [default: off for NFF, else on]")
 @click.option(
