@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .camera import entry, eye_ray, home, image_point
+from .camera import entry, eye_ray, home, image_point, primary_origin
 from .compiled import lean
 from .packets import PRIMARY, SIZE, octahedral, pack_weight, put_ray
 from .pixels import slot
@@ -86,7 +86,8 @@ def _bear(cell, space, frame, pixels, i, j, number, packets, k, white, counts):
     place = home(space, point)
     if place[0] != cell.index[0] or place[1] != cell.index[1] or place[2] != cell.index[2]:
         return 0
-    put_ray(packets, k * SIZE, PRIMARY, 1, sample, point, octahedral(direction[0], direction[1], direction[2]), white)
+    start = primary_origin(space.step, origin, direction)
+    put_ray(packets, k * SIZE, PRIMARY, 1, sample, start, octahedral(direction[0], direction[1], direction[2]), white)
     pixels.samples[slot(pixels, i, j)] += 1
     counts[BORN + PRIMARY] += 1
     return 1

@@ -1,8 +1,9 @@
 """Primary rays: from a sample number to the packet of its ray, and to its home.
 
 A sample's place in its pixel is a function of its number alone, so it needs no state and every node
-can work out every sample's home. The origin of a primary ray is the rounded point where the eye's
-ray enters the world box (the rounded eye if that lies inside).
+can work out every sample's home: the cell of the rounded point where the eye's ray enters the world box
+(the rounded eye if that lies inside). The ray itself starts up to TRIES steps further on, where the
+lattice has a point nearer to it; that can be in another cell, to which it is then handed first.
 """
 
 from __future__ import annotations
@@ -10,8 +11,10 @@ from __future__ import annotations
 import numpy as np
 
 from .compiled import part
-from .lattice import HALF, cell_index, nearest
+from .lattice import HALF, beside_ray, cell_index, nearest
 from .walk import inverse
+
+TRIES = 16  # takes a primary ray 0.03 to 0.1 steps aside instead of 0.4; costs 2 % of a trace
 
 # plastic-number sequence (M. Roberts 2018, "The unreasonable effectiveness of quasirandom sequences")
 R2_X, R2_Y = 0.7548776662466927, 0.5698402909980532
@@ -43,7 +46,7 @@ def image_point(sample, width, samples):
 
 @part
 def eye_ray(camera, i, j):
-    """((origin), (direction)) of the ray through an image point; the direction is not normalised."""
+    """((origin), (direction)) of the ray through an image point; the direction is a unit vector."""
     origin = (
         camera[0, 0] + i * camera[1, 0] + j * camera[2, 0],
         camera[0, 1] + i * camera[1, 1] + j * camera[2, 1],
@@ -65,19 +68,32 @@ def _slab(at, inv, half):
 
 
 @part
-def entry(step, origin, direction):
-    """(enters, (lattice origin)): where a ray from the eye enters the world box."""
+def reach(step, origin, direction):
+    """(t, t): where a ray from the eye enters the world box, 0 if the eye is inside, and where it leaves."""
     near_x, far_x = _slab(origin[0], inverse(direction[0]), HALF * step[0])
     near_y, far_y = _slab(origin[1], inverse(direction[1]), HALF * step[1])
     near_z, far_z = _slab(origin[2], inverse(direction[2]), HALF * step[2])
-    near = max(near_x, max(near_y, max(near_z, 0.0)))
-    far = min(far_x, min(far_y, far_z))
+    return max(near_x, max(near_y, max(near_z, 0.0))), min(far_x, min(far_y, far_z))
+
+
+@part
+def entry(step, origin, direction):
+    """(enters, (lattice point)): where a ray from the eye enters the world box; its home is the cell of that point."""
+    near, far = reach(step, origin, direction)
     point = (
         nearest(origin[0] + near * direction[0], step[0]),
         nearest(origin[1] + near * direction[1], step[1]),
         nearest(origin[2] + near * direction[2], step[2]),
     )
     return near <= far, point
+
+
+@part
+def primary_origin(step, origin, direction):
+    """Lattice origin of a primary ray that enters the world box: a little further on than that, to be on the ray."""
+    near, _ = reach(step, origin, direction)
+    start = (origin[0] + near * direction[0], origin[1] + near * direction[1], origin[2] + near * direction[2])
+    return beside_ray(step, start, direction, TRIES)
 
 
 @part

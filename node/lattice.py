@@ -26,6 +26,8 @@ HALF = LATTICE // 2
 LONGEST_STEP = 2.0**-23  # the step of the longest axis is at most this
 T_MIN = LONGEST_STEP  # no hit is nearer to a ray's origin than this, in any cell
 LIFT = 2.0 * LONGEST_STEP  # a secondary ray starts this far off the surface, so that rounding cannot put it behind
+GENTLE = 0.125  # sine of the angle to a surface below which a secondary ray is not lifted along itself alone
+SLOW = 0.25  # a ray is slow on an axis if its unit direction has less than this there; on one it never is
 SLACK = 2.0**-17  # a cell retains what comes this near to it; see `node.overlap`
 WIDEN = 2.0**-10  # the world box is this part of its longest edge wider than the surfaces, on each side
 THINNEST_CELL = 64  # lattice steps
@@ -65,6 +67,43 @@ def nearest(x, step):
     """The lattice coordinate nearest to a number, inside the world box."""
     k = math.floor(x / step + 0.5) + HALF
     return np.int64(min(max(k, 0.0), LATTICE - 1.0))
+
+
+@part
+def _worth(speed, step):
+    """Of having an axis' coordinate on the lattice: the more, the coarser its lattice, if the ray is not slow on it."""
+    return abs(speed) * step if abs(speed) >= SLOW else 0.0
+
+
+@part
+def beside_ray(step, p, d, tries):
+    """The lattice coordinates of a point beside the ray that starts at p in direction d, at p or a little further on.
+
+    Rounding p would put the ray up to 0.87 steps aside, but a step along itself changes nothing of what it sees. So of
+    the next `tries` points at which one coordinate lies on the lattice, the one is taken whose others miss it least.
+    """
+    x, y, z = p[0] / step[0], p[1] / step[1], p[2] / step[2]
+    u, v, w = d[0] / step[0], d[1] / step[1], d[2] / step[2]
+    of_x, of_y, of_z = _worth(d[0], step[0]), _worth(d[1], step[1]), _worth(d[2], step[2])
+    place, speed = (x, u) if of_x >= max(of_y, of_z) else ((y, v) if of_y >= of_z else (z, w))
+    first = (math.ceil(place) if speed > 0.0 else math.floor(place)) - place
+    stride = max(1.0, math.floor(LONGEST_STEP * abs(speed)))
+    stride = stride if speed > 0.0 else -stride
+    least, best = np.inf, 0.0
+    for k in range(tries):
+        t = (first + k * stride) / speed
+        a, b, c = x + t * u, y + t * v, z + t * w
+        a = (a - math.floor(a + 0.5)) * step[0]
+        b = (b - math.floor(b + 0.5)) * step[1]
+        c = (c - math.floor(c + 0.5)) * step[2]
+        aside = a * a + b * b + c * c - (a * d[0] + b * d[1] + c * d[2]) ** 2
+        if aside < least:
+            least, best = aside, t
+    return (
+        nearest(p[0] + best * d[0], step[0]),
+        nearest(p[1] + best * d[1], step[1]),
+        nearest(p[2] + best * d[2], step[2]),
+    )
 
 
 @part
@@ -150,7 +189,8 @@ def world_around(bounds: NDArray[np.float64]) -> World:
         raise SceneError(f"the surfaces span {2 * longest:g}, wanted between 1e-150 and 1e150")
     if longest < 1e-9 * float(np.abs(centre).max()):
         raise SceneError(
-            f"the surfaces span {2 * longest:g} at {centre.tolist()}: too small so far from the origin, move them nearer"
+            f"the surfaces span {2 * longest:g} at {centre.tolist()}: too small so far from the origin, "
+            "move them nearer"
         )
     half = half + 2.0 * WIDEN * longest
     scale = 2.0 ** -math.ceil(math.log2(float(half.max())))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from .camera import home_of_sample
 from .compiled import lean, part
-from .lattice import LIFT, T_MIN, nearest
+from .lattice import GENTLE, LIFT, T_MIN, beside_ray
 from .packets import (
     PIXEL,
     REFLECTED,
@@ -140,13 +140,17 @@ def _keep(frame, pixels, sample, intensity, counts):
 
 @part
 def _origin(space, p, g, d):
-    """Lattice origin of a ray born at p: lifted off the surface to the side that it goes to, then rounded."""
-    side = LIFT if g[0] * d[0] + g[1] * d[1] + g[2] * d[2] >= 0.0 else -LIFT
-    return (
-        nearest(p[0] + side * g[0], space.step[0]),
-        nearest(p[1] + side * g[1], space.step[1]),
-        nearest(p[2] + side * g[2], space.step[2]),
-    )
+    """Lattice origin of a ray born at p: lifted off the surface to the side that it goes to, then rounded.
+
+    It is moved along itself, which changes nothing of what it sees. A ray that leaves at a grazing angle would have to
+    go far, so it is lifted along the normal by what is lacking.
+    """
+    slope = g[0] * d[0] + g[1] * d[1] + g[2] * d[2]
+    along = LIFT / max(abs(slope), GENTLE)
+    lacking = LIFT - along * abs(slope)
+    side = lacking if slope >= 0.0 else -lacking
+    start = (p[0] + along * d[0] + side * g[0], p[1] + along * d[1] + side * g[1], p[2] + along * d[2] + side * g[2])
+    return beside_ray(space.step, start, d, 1)
 
 
 @part

@@ -149,8 +149,8 @@ def troublesome_rays(rng: Generator, n: int) -> Rays:
     return Rays(origins, np.clip(codes, 0, 2 * HALF_DIRECTION))
 
 
-def grazed(rays: Rays, step: Step, rng: Generator) -> Batch:
-    """A polygon for each ray, in whose plane the ray lies but for a slope of 1e-9 to 1e-6."""
+def grazed(rays: Rays, step: Step, rng: Generator) -> list[F64]:
+    """A polygon for each ray that has room for it, in whose plane the ray lies but for a slope of 1e-9 to 1e-6."""
     rows, half = [], HALF * np.array(step)
     at = (rays.origins - HALF) * np.array(step)
     for o, d in zip(at, rays.directions(), strict=True):
@@ -159,7 +159,7 @@ def grazed(rays: Rays, step: Step, rng: Generator) -> Batch:
         middle = o + rng.uniform(0.05, 0.3) * d
         if (np.abs(middle) < 0.8 * half).all():
             rows.append(placed(outline(rng, 5), middle, normal / np.linalg.norm(normal), 0.19 * float(half.min())))
-    return batch(Kind.POLYGON, rows)
+    return rows
 
 
 def squeezed(kind: Kind, row: F64, size: F64) -> F64:
@@ -176,7 +176,7 @@ def squeezed(kind: Kind, row: F64, size: F64) -> F64:
     return row
 
 
-def _troublesome_surfaces(rng: Generator, step: Step, grazed_polygons: Batch) -> SurfaceSet:
+def _troublesome_surfaces(rng: Generator, step: Step, grazed_polygons: list[F64]) -> SurfaceSet:
     shape = {Kind.TRIANGLE: (150, 150), Kind.SMOOTH: (10, 10), Kind.POLYGON: (10, 30), Kind.SPHERE: (15, 15)}
     shape |= {Kind.CYLINDER: (10, 10), Kind.CONE: (10, 10)}
     planes, reach, size = planes_of_shapes(step), 0.8 * HALF * min(step), np.ones(3)
@@ -191,7 +191,7 @@ def _troublesome_surfaces(rng: Generator, step: Step, grazed_polygons: Batch) ->
         ]
         rows = [squeezed(kind, row, size) for row in rows]
         if kind == Kind.POLYGON:
-            rows += np.split(grazed_polygons.data, grazed_polygons.starts[1:-1])
+            rows += grazed_polygons
         batches.append(_with_materials(inside(batch(kind, rows), step), rng, 8))
     return shuffled_ids(batches, rng)
 

@@ -12,7 +12,8 @@ from support_space import UNEVEN_STEP, Index, even_space, indices, uneven_space
 
 from raygrid.node import packets
 from raygrid.node.births import DONE, bear_primaries, new_cursor
-from raygrid.node.lattice import HALF, Space, coordinate, make_cell
+from raygrid.node.camera import TRIES
+from raygrid.node.lattice import HALF, LONGEST_STEP, SLOW, Space, coordinate, make_cell
 from raygrid.node.pixels import Pixels, make_pixels, slot
 from raygrid.node.tables import BORN, COUNTS, Frame
 
@@ -113,17 +114,21 @@ def test_the_packets_of_primary_rays():
             packet = packets.decode(data)
             assert (packet.kind, packet.depth, packet.values) == (packets.PRIMARY, 1, (1.0, 1.0, 1.0))
             assert packets.read_u32(rows(data), 20) | data[24] << 32 == WHITE
-            assert packet.origin == tuple(samples.points[packet.number])
             np.testing.assert_allclose(packet.direction, samples.directions[packet.number], atol=4.25 * 2.0**-24)
-            # the point lies on the box, on the ray from the eye, up to half a lattice step
-            at = np.array([coordinate(k, step) for k, step in zip(packet.origin, space.step, strict=True)])
-            assert (np.abs(np.abs(at) - half) <= 1.01 * np.array(space.step)).any()
+            # its home's point lies on the box, its origin there or a little further on, both on the ray from the eye
+            entered, start = (
+                np.array([coordinate(k, step) for k, step in zip(point, space.step, strict=True)])
+                for point in (samples.points[packet.number], packet.origin)
+            )
+            assert (np.abs(np.abs(entered) - half) <= 1.01 * np.array(space.step)).any()
             eye, d = frame.camera[0], samples.directions[packet.number]
-            assert np.linalg.norm(np.cross(at - eye, d)) <= np.linalg.norm(space.step)
+            for at in (entered, start):
+                assert np.linalg.norm(np.cross(at - eye, d)) <= np.linalg.norm(space.step)
+            assert -max(space.step) <= (start - entered) @ d <= (TRIES + 1) * LONGEST_STEP / SLOW
 
 
 @pytest.mark.parametrize("name", ["inside", "inside, on a plane between cells", "on a face, looking in"])
-def test_rays_of_an_eye_inside_start_at_the_rounded_eye(name):
+def test_rays_of_an_eye_inside_have_the_cell_of_the_rounded_eye_as_home(name):
     size, space = (5, 4), SPACES["uneven 4x4x4"]
     frame = make_frame(bad_places(space, size)[name], size)
     samples = all_samples(frame, space)

@@ -61,15 +61,17 @@ HITS_AT = [  # surface, origin, direction, point, outward normal
 
 @pytest.mark.parametrize(("surface", "origin", "direction", "point", "normal"), HITS_AT)
 def test_reflection(surface, origin, direction, point, normal):
-    """R = D - 2 (D.N) N, from a point lifted off the side that the ray came from, with weight times specular."""
+    """R = D - 2 (D.N) N, from a point lifted along R off the side that the ray came from, with weight times specular."""
     frame = frame_of(specular=(0.5, 0.25, 1.0), depth=3)
     served = serve(ray(origin, direction, depth=2, sample=7, weight=(1.0, 0.5, 0.25)), [surface], frame)
     born = served.only(SELF_RAYS, REFLECTED)
     d, n = unit(direction), unit(normal)
     np.testing.assert_allclose(born.direction, d - 2 * (d @ n) * n, rtol=0, atol=3 * CODE)
     side = n if d @ n < 0 else -n
-    np.testing.assert_allclose(place(born.origin), point + LIFT * side, rtol=0, atol=3 * STEP)
-    assert (place(born.origin) - point) @ side > 0, "born behind the surface"
+    lifted = place(born.origin) - point
+    assert lifted @ side == pytest.approx(LIFT, abs=3 * STEP)
+    assert lifted @ side > 0, "born behind the surface"
+    assert np.linalg.norm(np.cross(lifted, born.direction)) <= 3 * STEP
     assert (born.depth, born.number) == (3, 7)
     assert born.values == pytest.approx((0.5, 0.125, 0.25), rel=1 / 2047)
     assert served.number(SHADOW) == served.number(REFRACTED) == 0
@@ -137,7 +139,9 @@ def test_shadow_rays_carry_what_they_will_add():
         seen = 0.8 * np.array([0.5, 0.25, 1.0]) + 0.512 * np.array([0.5, 0.0, 0.25])  # N.L = R.L = 4/5, as R = N
         expected = np.array([1.0, 0.5, 1.0]) * intensity * seen
         assert born.values == pytest.approx(expected, rel=1e-5)
-        np.testing.assert_allclose(place(born.origin), [0, 0, LIFT], rtol=0, atol=STEP)
+        lifted, to_light = place(born.origin), np.array([0, 0.6, 0.8]) if born is first else np.array([0.6, 0, 0.8])
+        assert lifted[2] == pytest.approx(LIFT, abs=2 * STEP)
+        assert np.linalg.norm(np.cross(lifted, to_light)) <= STEP
 
 
 def test_light_from_below_lights_the_underside():
@@ -228,6 +232,15 @@ def test_a_light_that_can_be_seen(direction, seen):
     sun = directional_light(X, cos_disc=0.98, disc=(2.0, 3.0, 4.0))
     served = serve(ray([0, 0, 0], direction), [], frame_of(sun, POINT, background=(0.5, 0.5, 0.5)))
     np.testing.assert_array_equal(served.sums[0], np.array((2.0, 3.0, 4.0) if seen else (0.5, 0.5, 0.5)) * 2**24)
+
+
+def test_what_is_too_bright_for_a_packet_comes_home_as_the_brightest():
+    """Of a scene that the front end takes: the product of its brightest background and a mirror above 1."""
+    frame, data = frame_of(background=(1e30, 0.5, 0.0)), ray([0.2, 0, 0], X, kind=REFLECTED, weight=(1e10, 1e10, 0.0))
+    sent = serve(data, [], frame, shape="2x2x2", index=(1, 1, 1)).only(0, RETURN)
+    assert sent.values == (float(np.finfo(np.float32).max), pytest.approx(5e9, rel=1 / 2047), 0.0)
+    kept = serve(returning((0, 1, 1), intensity=sent.values), [], frame, shape="2x2x2", index=(0, 1, 1))
+    np.testing.assert_array_equal(kept.sums, serve(data, [], frame).sums)
 
 
 # --- ways ---------------------------------------------------------------------------------------------------
