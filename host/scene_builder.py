@@ -25,6 +25,10 @@ Table = NDArray[np.void]
 
 # Coordinates beyond this are refused: areas are squared lengths and are squared again, which must not overflow.
 MAX_COORDINATE = 1e30
+# Vertices of polygons may leave the plane by this part of half the scene's longest edge, which is 1/2 to 1 in machine
+# coordinates. Cells retain what comes within four times this (lattice.SLACK) of them: a polygon bent further could be
+# missed in one of them.
+MOST_BENT = 2.0**-19
 
 
 def read_bytes(path: Path) -> bytes:
@@ -111,19 +115,12 @@ class SceneBuilder:
         every = np.broadcast_to(materials, sizes.shape)
         order = np.arange(self.next_order, self.next_order + len(sizes)) if order is None else order
         three, flat = sizes == 3, flat_polygons(points, starts)
-        planar = planar_polygons(points, starts)
-        kept, bent = ~three & ~flat & planar, ~three & ~flat & ~planar
+        kept = ~three & ~flat
         self._dropped["polygon"] += int(np.count_nonzero(flat & ~three))
         corners = points[np.repeat(three, sizes)].reshape(-1, 9)
         self.add(Kind.TRIANGLE, corners, every[three], order[three])
         chosen, begins = select_polygons(points, starts, kept)
         self._take(Kind.POLYGON, chosen, every[kept], order[kept], len(begins) - 1, begins)
-        if bent.any():
-            chosen, begins = select_polygons(points, starts, bent)
-            rows, owner, crossing = triangulate(chosen, begins)
-            self.add(Kind.TRIANGLE, chosen[rows].reshape(-1, 9), every[bent][owner], order[bent][owner])
-            self._bent += len(begins) - 1
-            self.count_crossing(crossing)
 
     def count_crossing(self, crossing: int) -> None:
         """Remark that so many more polygons could be cut into triangles only by guess."""
@@ -136,6 +133,7 @@ class SceneBuilder:
 
     def finish(self) -> tuple[SurfaceSet, Table, tuple[str, ...]]:
         """Surfaces, materials and remarks. Raises SceneError without surfaces, or with too many of anything."""
+        self._cut_bent()
         remarks = self._counted()
         order = np.concatenate([batch[3] for batch in self._batches] or [np.zeros(0, np.int64)])
         if not len(order):
@@ -153,6 +151,25 @@ class SceneBuilder:
             made.append(Batch(kind, ids[begin:end], share[materials].astype(np.uint16), data, starts))
             begin = end
         return SurfaceSet(tuple(_in_order(batch) for batch in merge(made))), table, (*self.remarks, *remarks)
+
+    def _cut_bent(self) -> None:
+        """Cut the polygons that are not planar into triangles; only now is it known how large the scene is."""
+        batches, self._batches = self._batches, []
+        polygons = [batch for batch in batches if batch[0] == Kind.POLYGON]
+        self._batches = [batch for batch in batches if batch[0] != Kind.POLYGON]
+        most = MOST_BENT * _half_extent(batches) if polygons else 0.0
+        for kind, points, materials, order, starts in polygons:
+            bent = ~planar_polygons(points, starts, most)
+            if not bent.any():
+                self._batches.append((kind, points, materials, order, starts))
+                continue
+            chosen, begins = select_polygons(points, starts, ~bent)
+            self._take(kind, chosen, materials[~bent], order[~bent], len(begins) - 1, begins)
+            chosen, begins = select_polygons(points, starts, bent)
+            rows, owner, crossing = triangulate(chosen, begins)
+            self.add(Kind.TRIANGLE, chosen[rows].reshape(-1, 9), materials[bent][owner], order[bent][owner])
+            self._bent += len(begins) - 1
+            self.count_crossing(crossing)
 
     def _counted(self) -> list[str]:
         """Remarks on what was counted."""
@@ -195,6 +212,16 @@ class SceneBuilder:
         if len(table) > MAX_MATERIALS:
             raise SceneError(f"{self.where}: the file has {len(table)} materials, wanted at most {MAX_MATERIALS}")
         return table, share
+
+
+def _half_extent(batches: list[tuple[Kind, F64, Ints, Ints, Ints]]) -> float:
+    """Half of the longest edge of the box of all surfaces."""
+    boxes = []
+    for kind, data, _, order, starts in batches:
+        batch = Batch(kind, np.zeros(len(order), np.uint32), np.zeros(len(order), np.uint16), data, starts)
+        boxes.append(batch.bounds())
+    every = np.concatenate(boxes)
+    return float((every[:, 1].max(0) - every[:, 0].min(0)).max()) / 2.0
 
 
 def _in_order(batch: Batch) -> Batch:

@@ -15,8 +15,7 @@ Ints = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 NO_AREA = 1e-12  # twice the area over the squared extent below which a surface is a line: rounding makes more
-# Vertices may leave the mean plane by this part of (extent + largest coordinate). A hit counts only inside the
-# surface's box widened by a slack of that order, so a polygon bent further would lose hits near its corners.
+# Vertices may leave the mean plane by this part of (extent + largest coordinate): what rounded numbers make of a plane.
 FLATNESS = 1e-7
 CONVEX = 1e-9  # a corner may turn the wrong way by this sine: nearly straight corners of rounded numbers
 
@@ -51,8 +50,9 @@ def flat_polygons(points: F64, starts: Ints) -> Mask:
     return np.asarray(doubled <= NO_AREA * extents(points, starts) ** 2)
 
 
-def planar_polygons(points: F64, starts: Ints) -> Mask:
-    """Which of the polygons lie in a plane, to FLATNESS of their extent plus their largest coordinate, (n,)."""
+def planar_polygons(points: F64, starts: Ints, most: float = np.inf) -> Mask:
+    """Which of the polygons lie in a plane, (n,): to FLATNESS of their extent plus their largest coordinate, and to
+    `most`, in units of the points, however far from the origin they are."""
     if len(starts) < 2:
         return np.zeros(0, np.bool_)
     sizes = np.diff(starts)
@@ -61,7 +61,7 @@ def planar_polygons(points: F64, starts: Ints) -> Mask:
     offsets = points - np.repeat(middles, sizes, axis=0)
     heights = np.abs(np.einsum("pi,pi->p", offsets, np.repeat(normals, sizes, axis=0)))
     largest = np.maximum.reduceat(np.abs(points).max(axis=1), starts[:-1])
-    allowed = FLATNESS * (extents(points, starts) + largest)
+    allowed = np.minimum(FLATNESS * (extents(points, starts) + largest), most)
     return np.asarray(np.maximum.reduceat(heights, starts[:-1]) <= allowed)
 
 

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from .compiled import kernel, part
 from .lanes import CHILDREN, WIDE
 
-INFLATE = 4e-6  # machine coordinates
+INFLATE = 4e-6  # machine coordinates; a hit that counts lies within SLACK / 4 of its surface's box
 LEAF = 4  # most items in a leaf
 ITEM_COST, NODE_COST = 1.0, 2.0
 BINS = 16
@@ -54,7 +54,7 @@ def _bin_split(boxes, order, first, count, low, high, counts, bounds):
     best_axis, best_border, best_cost = -1, 0, np.inf
     for axis in range(3):
         extent = high[axis] - low[axis]
-        if not extent > 0.0:
+        if not extent > 1e-30:  # the inverse of a smaller one may be infinite
             continue
         scale = BINS * (1.0 - 1e-9) / extent
         counts[:] = 0

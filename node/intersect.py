@@ -124,7 +124,7 @@ def _on_cone(data, row, d, t, lower, y, s, mx, my, mz, dd):
     w = my + s * d[1] - y * data[row, CONE_AXIS + 1]
     reach = np.sqrt(x * x + w * w + z * z)
     expected = data[row, CONE_RADIUS] + data[row, CONE_SLOPE] * y
-    if not abs(reach - expected) <= 0.5 * SLACK:
+    if not abs(reach - expected) <= 0.25 * SLACK:
         return False
     if data[row, CONE_INSIDE] == 0.0:
         return True

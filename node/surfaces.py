@@ -57,7 +57,7 @@ STORED_AS: dict[Kind, type[np.floating]] = {
     Kind.CYLINDER: np.float64,
     Kind.CONE: np.float64,
 }
-MAX_SURFACES = 2**29 - 1  # a leaf of the hierarchy keeps 3 bits of a 32-bit word for the kind
+MAX_SURFACES = 2**28  # a leaf of the hierarchy keeps 4 bits of a 32-bit word for kind and number
 MAX_MATERIALS = 2**16
 
 

@@ -130,6 +130,13 @@ def test_the_stack_of_a_walk_is_large_enough(base):
         assert deepest_stack(boxes, kinds, *build(boxes, kinds)) <= DEPTH
 
 
+@pytest.mark.parametrize("size", [5e-324, 1e-310, 1e-307, 1e-200, 1e-31])
+def test_middles_nearly_in_one_place_are_divided(size):
+    middles = np.linspace(0.0, size, 100)[:, None] * np.ones(3)
+    boxes, kinds = np.stack((middles, middles), axis=1), np.zeros(100, np.int8)
+    assert deepest_stack(boxes, kinds, *build(boxes, kinds)) <= DEPTH
+
+
 def test_more_items_than_leaves_can_name_are_refused():
     with pytest.raises(ValueError, match="a hierarchy over 268435457 items, wanted at most 268435456"):
         build(np.broadcast_to(np.zeros((1, 2, 3)), (2**28 + 1, 2, 3)))

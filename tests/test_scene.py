@@ -11,7 +11,7 @@ import pytest
 from raygrid.host.cameras import perspective_camera
 from raygrid.host.load import READERS, load_scene
 from raygrid.host.scene import describe
-from raygrid.host.scene_builder import SceneBuilder, material
+from raygrid.host.scene_builder import MOST_BENT, SceneBuilder, material
 from raygrid.host.scene_finish import finish_scene
 from raygrid.host.scene_lights import (
     directional_light,
@@ -24,6 +24,7 @@ from raygrid.host.scene_lights import (
 )
 from raygrid.node.errors import SceneError
 from raygrid.node.frame import DIRECTIONAL, MATERIAL, POINT
+from raygrid.node.lattice import SLACK
 from raygrid.node.surfaces import Kind
 
 SCENES = Path(__file__).parents[1] / "scenes"
@@ -92,6 +93,30 @@ def test_normals_become_unit_vectors_and_lost_ones_the_triangle_s_own():
     builder.add(Kind.SMOOTH, np.concatenate((TRIANGLE, [[0, 0, 4.0, 0, 0, 0, 3, 0, 4]]), axis=1), 0)
     data = builder.finish()[0].batches[0].data
     assert np.allclose(data[0, 9:], [0, 0, 1, 0, 0, 1, 0.6, 0, 0.8])
+
+
+def test_polygons_are_cut_that_are_bent_against_the_scene_however_far_it_is():
+    """A bend that shows in machine coordinates would be seen by one cell and not by another."""
+    assert MOST_BENT == SLACK / 4
+    builder = builder_with_one_material()
+    bent = 0.3 * SQUARE + np.array([1000.0, 0, 0])
+    bent[2, 2] += 1e-5
+    builder.add_polygons(bent, np.array([0, 4]), 0)
+    surfaces, _, remarks = builder.finish()
+    assert surfaces.count(Kind.POLYGON) == 0
+    assert surfaces.count(Kind.TRIANGLE) == 2
+    assert remarks == ("1 polygon cut into triangles, being not planar",)
+
+
+def test_polygons_stay_whole_whose_bend_is_nothing_against_the_scene():
+    builder = builder_with_one_material()
+    bent = 0.3 * SQUARE + np.array([1000.0, 0, 0])
+    bent[2, 2] += 1e-5
+    builder.add_polygons(bent, np.array([0, 4]), 0)
+    builder.add(Kind.SPHERE, np.array([[0.0, 0.0, 0.0, 1.0]]), 0)
+    surfaces, _, remarks = builder.finish()
+    assert surfaces.count(Kind.POLYGON) == 1
+    assert not remarks
 
 
 def test_bent_polygons_are_cut_along_their_vertices():
