@@ -41,7 +41,8 @@ class Compilations(event.Listener):
     def on_end(self, event: event.Event) -> None:
         """One more."""
         self.done += 1
-        name = event.data["dispatcher"].py_func.__name__.strip("_")
+        function = event.data["dispatcher"].py_func
+        name = function.__name__.strip("_") if function.__module__.startswith("raygrid.") else "parts of numba"
         self._report(self.done, max(KERNELS, self.done + 1), f"compiling {name}")
 
 

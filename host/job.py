@@ -71,7 +71,10 @@ def make_job(
         raise SceneError(f"{scene.name}: the scene has no surfaces")
     if settings.split not in SPLITS:
         raise SceneError(f"a split came as {settings.split!r}, wanted one of {', '.join(SPLITS)}")
-    world = world_around(scene.surfaces.bounds())
+    try:
+        world = world_around(scene.surfaces.bounds())
+    except SceneError as error:
+        raise SceneError(f"{scene.name}: {error}") from None
     surfaces = world.surfaces(scene.surfaces)
     frame = _frame(scene, world, settings)
     space = split(settings.split, shape, world, surfaces, frame, wait)

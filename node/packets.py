@@ -219,7 +219,9 @@ def put_return(buffer, at, depth, sample, intensity, home):
     buffer[at] = np.uint8(RETURN | (depth << 3))
     _write(buffer, at + 1, sample, 4)
     for k in range(3):
-        _write(buffer, at + 5 + 4 * k, np.int64(np.float32(intensity[k]).view(np.uint32)), 4)
+        # a product of bright things may be infinite
+        finite = np.float32(min(np.float64(intensity[k]), LARGEST_BINARY32))
+        _write(buffer, at + 5 + 4 * k, np.int64(finite.view(np.uint32)), 4)
         _write(buffer, at + 17 + 2 * k, home[k], 2)
     _write(buffer, at + 23, np.int64(0), 2)
 

@@ -41,3 +41,9 @@ def nothing_left() -> Iterator[None]:
     os.environ.pop(MARK) if before is None else os.environ.update({MARK: before})
     if left:
         pytest.fail("the tests of this file left behind:\n" + "\n".join(f"  {line}" for line in left), pytrace=False)
+
+
+@pytest.fixture
+def quick_records(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Records of nodes in memory without this process' own memory, which takes the kernel longer than a small picture."""
+    monkeypatch.setattr("raygrid.node.processor.private_memory", lambda: 0)

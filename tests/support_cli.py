@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -53,6 +54,14 @@ def as_process(*arguments: str, environment: dict[str, str] | None = None, **opt
         **(streams | options),
     )
     return Outcome(done.returncode, done.stdout or "", done.stderr or "")
+
+
+def one_line(outcome: Outcome, code: int, pattern: str) -> None:
+    """The outcome has this code, nothing on standard output, and one line that is the pattern."""
+    assert outcome.out == ""
+    assert outcome.err.count("\n") == 1, outcome.err
+    assert re.fullmatch(pattern, outcome.err.rstrip("\n")), outcome.err
+    assert outcome.code == code
 
 
 @pytest.fixture(scope="module")

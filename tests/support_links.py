@@ -22,9 +22,9 @@ TURNS = 5000  # after so many a talk is taken to hang
 
 
 class Wire:
-    """Both ends of one channel, and how to wait until a message has crossed."""
+    """Both ends of one channel; `wait` waits a while until something has come to either end, or to one of them."""
 
-    def __init__(self, ends: tuple[Channel, Channel], wait: Callable[[], None]) -> None:
+    def __init__(self, ends: tuple[Channel, Channel], wait: Callable[..., None]) -> None:
         self.ends, self.wait = ends, wait
 
     def next(self, end: int) -> bytes:
@@ -33,14 +33,14 @@ class Wire:
             message = self.ends[end].receive()
             if message is not None:
                 return message
-            self.wait()
+            self.wait(end)
         pytest.fail("no message crossed the channel")
 
 
 @contextmanager
 def memory_wire() -> Iterator[Wire]:
     """Two queues."""
-    yield Wire(memory_pair(), lambda: None)
+    yield Wire(memory_pair(), lambda end=None: None)
 
 
 @contextmanager
@@ -50,10 +50,14 @@ def zeromq_wire() -> Iterator[Wire]:
     context: zmq.Context[Any] = zmq.Context(io_threads=1)
     try:
         ends = (Pair(context, f"ipc://{directory}/0", True), Pair(context, f"ipc://{directory}/0", False))
-        poller = zmq.Poller()
-        for end in ends:
-            poller.register(end.socket, zmq.POLLIN)
-        yield Wire(ends, lambda: poller.poll(50) and None)
+
+        def wait(end: int | None = None) -> None:
+            poller = zmq.Poller()
+            for one in ends if end is None else (ends[end],):
+                poller.register(one.socket, zmq.POLLIN)
+            poller.poll(50)
+
+        yield Wire(ends, wait)
     finally:
         context.destroy(linger=0)
         shutil.rmtree(directory)
@@ -192,16 +196,18 @@ class Watched(Passing):
         self.peer: Link | None = None
         self.most_under_way = self.data = self.messages = self.bytes = 0
 
-    def outgoing(self, message: bytes) -> list[bytes]:
-        """Look at the window before it goes."""
+    def send(self, message: bytes | memoryview) -> bool:
+        """Hand over, and look at the window if there was room."""
+        if not self.inner.send(message):
+            return False
         self.messages += 1
         self.bytes += len(message)
         if message[0] in IS_DATA:
             self.data += 1
-            processed = 0 if self.peer is None else self.peer._data_done
+            processed = 0 if self.peer is None else self.peer.data_done
             self.most_under_way = max(self.most_under_way, self.data - processed)
             assert self.data - processed <= WINDOW, "more messages are under way than the window holds"
-        return [message]
+        return True
 
 
 def renumbered(message: bytes, **fields: int) -> bytes:
@@ -209,3 +215,26 @@ def renumbered(message: bytes, **fields: int) -> bytes:
     names = ("kind", "zero", "epoch", "sequence", "credit", "count")
     old = dict(zip(names, HEADER.unpack_from(message), strict=True))
     return HEADER.pack(*(old | fields).values()) + message[HEADER.size :]
+
+
+@pytest.fixture(params=list(WIRES))
+def wire(request: pytest.FixtureRequest) -> Iterator[Wire]:
+    """Each transport in turn."""
+    with WIRES[request.param]() as made:
+        yield made
+
+
+def payloads(arrivals: list[Arrival]) -> list[bytes]:
+    """What came behind the headers."""
+    return [arrival.message[HEADER.size :] for arrival in arrivals]
+
+
+def received(wire: Wire, link: Link, until: Callable[[Arrival], bool] = lambda arrival: True) -> Arrival:
+    """Wait until the link of the left end hands out what is wanted, or refuses what came."""
+    for _ in range(100):
+        arrival = link.receive()
+        if arrival is not None and until(arrival):
+            return arrival
+        link.push()
+        wire.wait(0)
+    pytest.fail("nothing came")

@@ -1,19 +1,17 @@
-"""Bad input of every kind: one clear line, exit code 1 (failed) or 2 (misused), nothing left behind.
+"""Misuse, outputs that cannot be written, too little of something: one clear line, exit code 1 (failed) or 2 (misused).
 
-Where, what came, what was wanted: each row of these tables has the whole line as a pattern.
+Nothing is left behind. Where, what came, what was wanted: each row of these tables has the whole line as a pattern.
 """
 
 import json
 import os
 import re
 import resource
-import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support_cli import TINY, as_process, here, warm_kernels
-from support_render import SCENES
+from support_cli import TINY, as_process, here, one_line, warm_kernels
 
 from raygrid.host import outputs
 
@@ -22,206 +20,7 @@ __all__ = ["warm_kernels"]
 pytestmark = pytest.mark.usefixtures("no_leftovers")
 
 GOOD = Path(TINY).read_text()
-HEAD = "v from 0 -6 2 at 0 0 0 up 0 0 1 angle 40 hither 1 resolution 32 32\nl 1 1 9\nf 1 1 1 1 0 0 0 0\n"
-KEYWORDS = "b v from at up angle hither resolution l f c s p pp"
-SUFFIXES = ".nff .obj .ply .stl .glb .gltf .toml"
 PICTURES = ".png .jpg .jpeg .webp .tif .tiff .bmp .ppm .npy"
-PLY = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
-PLY_FACES = "element face {}\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n"
-RUBBISH = bytes(range(256)) * 40
-GLB = (SCENES / "room.glb").read_bytes()
-TOML_SPHERE = '[[surfaces]]\nkind = "sphere"\ncentre = [0, 0, 0]\nradius = 1\n'
-
-
-def one_line(outcome, code, pattern):
-    """The outcome has this code, nothing on standard output, and one line that is the pattern."""
-    assert outcome.out == ""
-    assert outcome.err.count("\n") == 1, outcome.err
-    assert re.fullmatch(pattern, outcome.err.rstrip("\n")), outcome.err
-    assert outcome.code == code
-
-
-FILES = [  # name, contents, the line that comes after "raygrid: "
-    # cut
-    (
-        "cut.nff",
-        GOOD[: len(GOOD) // 2],
-        "cut.nff, line 13: the file ends inside the polygon that begins here, after 10 numbers of 13",
-    ),
-    ("cut.nff", GOOD[:-9], "cut.nff, line 24: the file ends inside the sphere that begins here, after 2 numbers of 4"),
-    ("cut.glb", GLB[: len(GLB) // 2], r"cut.glb: the file has \d+ bytes, but says that it has 206256: it is cut"),
-    ("cut.glb", GLB[:10], "cut.glb: the file ends inside its header, after 10 bytes"),
-    ("cut.gltf", '{"asset": {"ver', r"cut.gltf: the JSON cannot be read \(.+\)"),
-    ("cut.ply", PLY + PLY_FACES.format(2) + "3 0 1 2\n", "cut.ply: the file ends after 4 lines of data, wanted 5"),
-    (
-        "cut.stl",
-        bytes(80) + struct.pack("<I", 2) + bytes(50),
-        "cut.stl: the file has 134 bytes, wanted 184 for its 2 facets",
-    ),
-    (
-        "cut.stl",
-        "solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\n",
-        "cut.stl: the file ends inside facet 1, wanted .+",
-    ),
-    ("cut.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2", "cut.obj, line 4: .+2.+3.*"),
-    ("cut.toml", "[camera]\nfrom = [0, 1", r"cut.toml: the TOML cannot be read \(.+\)"),
-    # empty
-    ("empty.nff", "", "empty.nff: the file is empty, wanted a viewpoint and surfaces"),
-    ("empty.obj", "", "empty.obj: the file has no faces, wanted at least one"),
-    ("empty.ply", "", "empty.ply: .+"),
-    ("empty.stl", "", "empty.stl: the file has 0 bytes, wanted an STL file of at least 84"),
-    ("empty.glb", "", "empty.glb: .+"),
-    ("empty.gltf", "", "empty.gltf: .+"),
-    ("empty.toml", "", "empty.toml: the file has no surfaces, wanted at least one surface"),
-    # scenes without anything to see
-    ("none.nff", HEAD, "none.nff: the file has no surfaces, wanted at least one of s c p pp"),
-    ("none.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "none.obj: the file has no faces, wanted at least one"),
-    ("none.ply", PLY + PLY_FACES.format(0), "none.ply: the file has no faces, wanted at least one"),
-    ("none.stl", bytes(84), "none.stl: the file has no facets, wanted at least one"),
-    ("none.gltf", '{"asset": {"version": "2.0"}}', "none.gltf: .+"),
-    (
-        "flat.nff",
-        HEAD + "p 3 0 0 0 1 1 1 2 2 2",
-        "flat.nff: the file has only 1 surface without area, wanted at least one surface",
-    ),
-    (
-        "flat.obj",
-        "v 0 0 0\nv 1 1 1\nv 2 2 2\nf 1 2 3\n",
-        "flat.obj: the file has only 1 surface without area, wanted .+",
-    ),
-    (
-        "blind.nff",
-        "s 0 0 0 1",
-        r"blind.nff: the file has no viewpoint, wanted one \(v from at up angle hither resolution\)",
-    ),
-    # numbers
-    ("nan.nff", HEAD + "s 0 0 nan 1", "nan.nff, line 4: came 'nan', wanted a finite number"),
-    ("inf.nff", HEAD + "s 0 -inf 0 1", "inf.nff, line 4: came '-inf', wanted a finite number"),
-    ("big.nff", HEAD + "s 0 0 1e40 1", "big.nff, line 4: came 1e[+]40, wanted at most 1e30"),
-    ("zero.nff", HEAD + "s 0 0 0 0", "zero.nff, line 4: a sphere's radius must not be 0, came: 0 0 0 0"),
-    (
-        "nan.obj",
-        "v 0 0 0\nv 1 nan 0\nv 0 1 0\nf 1 2 3\n",
-        "nan.obj, line 2: came '1 nan 0', wanted finite numbers of at most 1e30",
-    ),
-    ("nan.ply", PLY + PLY_FACES.format(1).replace("1 0 0", "1 nan 0") + "3 0 1 2\n", "nan.ply: .+"),
-    ("nan.stl", bytes(84)[:80] + struct.pack("<I12fH", 1, *[float("nan")] * 12, 0), "nan.stl: .+"),
-    (
-        "nan.toml",
-        TOML_SPHERE.replace("[0, 0, 0]", "[0, nan, 0]"),
-        r"nan.toml, line 3: surfaces\[0\].centre\[1\] is nan, wanted a finite number",
-    ),
-    # cameras
-    (
-        "same.nff",
-        HEAD.replace("at 0 0 0", "at 0 -6 2") + "s 0 0 0 1",
-        r"same.nff, line 1: the camera looks from \(0, -6, 2\) at that same point, wanted two different points",
-    ),
-    (
-        "up.nff",
-        HEAD.replace("up 0 0 1", "up 0 6 -2") + "s 0 0 0 1",
-        r"up.nff, line 1: the camera's up \(0, 6, -2\) is parallel to its view, wanted another direction",
-    ),
-    (
-        "angle.nff",
-        HEAD.replace("angle 40", "angle 180") + "s 0 0 0 1",
-        "angle.nff, line 1: the camera's angle is 180 degrees, wanted more than 0 and less than 180",
-    ),
-    (
-        "size.nff",
-        HEAD.replace("32 32", "0 0") + "s 0 0 0 1",
-        "size.nff, line 1: the resolution must be two whole numbers from 1 to 65535, came: 0 0",
-    ),
-    (
-        "same.toml",
-        TOML_SPHERE + "[camera]\nfrom = [1, 1, 1]\nat = [1, 1, 1]\n",
-        "same.toml, line 5: camera .+two different points",
-    ),
-    # not what it says it is
-    ("word.nff", HEAD + "s 0 0 0 1\nq 1 2 3", f"word.nff, line 5: came the unknown word 'q', wanted one of {KEYWORDS}"),
-    (
-        "latin.nff",
-        HEAD.encode() + b"s 0 0 0 \xe91",
-        rf"latin.nff, line 4: came the unknown word '\\\\xe91', wanted one of {KEYWORDS}",
-    ),
-    ("long.nff", HEAD + "s 0 0 0 " + "1" * 10_000_000, r"long.nff, line 4: came '1{37}\.\.\.', wanted a finite number"),
-    (
-        "long.nff",
-        HEAD + "s 0 0 0 1 " + "z" * 10_000_000,
-        r"long.nff, line 4: came the unknown word 'z{37}\.\.\.', wanted .+",
-    ),
-    (
-        "index.obj",
-        "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n",
-        "index.obj, line 4: came the corner '9', but the file has 3 v, 0 vt and 0 vn",
-    ),
-    (
-        "index.ply",
-        PLY + PLY_FACES.format(1) + "3 0 1 7\n",
-        "index.ply: a face has the vertex 7, wanted numbers from 0 to 2",
-    ),
-    ("binary.nff", RUBBISH, "binary.nff, line 1: came .+ before any keyword, wanted one of .+"),
-    ("binary.obj", RUBBISH, "binary.obj: .+"),
-    ("binary.ply", RUBBISH, "binary.ply: this is no PLY file, wanted a header from 'ply' to 'end_header'"),
-    ("binary.stl", RUBBISH, r"binary.stl: the file has 10240 bytes, wanted \d+ for its \d+ facets"),
-    ("binary.glb", RUBBISH, "binary.glb: .+"),
-    ("binary.gltf", RUBBISH, "binary.gltf: .+"),
-    ("binary.toml", RUBBISH, r"binary.toml: the TOML cannot be read \(.+\)"),
-    (
-        "key.toml",
-        TOML_SPHERE + "colour = 1\n",
-        r"key.toml, line 5: the key surfaces\[0\].colour is unknown, wanted one of: .+",
-    ),
-    (
-        "text.toml",
-        TOML_SPHERE.replace("= 1", '= "one"'),
-        r"text.toml, line 4: surfaces\[0\].radius is 'one', wanted a valid number",
-    ),
-    (
-        "kind.toml",
-        TOML_SPHERE.replace("sphere", "cube"),
-        r"kind.toml, line \d: surfaces\[0\].kind is 'cube', wanted one of: .+",
-    ),
-    (
-        "mesh.toml",
-        '[[meshes]]\nfile = "gone.ply"\n',
-        r"mesh.toml, line 2: meshes\[0\].file cannot be placed: .*gone.ply: there is no such file",
-    ),
-    ("base.toml", 'include = "gone.nff"\n', ".*gone.nff: there is no such file"),
-    ("scene.xyz", GOOD, f"scene.xyz: the file has the suffix '.xyz', wanted one of: {SUFFIXES}"),
-    ("scene", GOOD, f"scene: the file has no suffix, wanted one of: {SUFFIXES}"),
-]
-
-
-@pytest.mark.parametrize(("name", "contents", "line"), FILES, ids=[f"{k}-{row[0]}" for k, row in enumerate(FILES)])
-def test_scene_files(name, contents, line, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    scene = tmp_path / name
-    scene.write_bytes(contents if isinstance(contents, bytes) else contents.encode())
-    one_line(here("render", name, "-o", "x.png", "-o", "x.npy", "--stats", "x.json"), 1, f"raygrid: {line}")
-    assert list(tmp_path.iterdir()) == [scene]
-    one_line(here("info", name), 1, f"raygrid: {line}")
-
-
-NO_FILES = [
-    ("gone.nff", "gone.nff: there is no such file"),
-    ("gone/scene.obj", "gone/scene.obj: there is no such file"),
-    ("folder.nff", f"folder.nff: the scene is a directory, wanted a file of one of: {SUFFIXES}"),
-    (".", f".: the scene is a directory, wanted a file of one of: {SUFFIXES}"),
-    ("", "a scene came as '', wanted the name of a file"),
-    ("a\0b.nff", r"a scene came as 'a\\x00b.nff', wanted the name of a file"),
-    ("a" * 300 + ".nff", r"a{300}.nff: the file cannot be read \(File name too long\)"),
-]
-
-
-@pytest.mark.parametrize(("name", "line"), NO_FILES, ids=[ascii(row[0][:20]) for row in NO_FILES])
-def test_scenes_that_are_no_files(name, line, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("folder.nff").mkdir()
-    one_line(here("render", name, "-o", "x.png"), 1, f"raygrid: {line}")
-    one_line(here("info", name), 1, f"raygrid: {line}")
-    assert [path.name for path in tmp_path.iterdir()] == ["folder.nff"]
-
 
 WHOLE, SIDES = "wanted a whole number from", "wanted sides of 1 to 65536"
 CUBE = "wanted three numbers from 1 to 65535, such as 4x4x4, or 4x4x1 for a square array"

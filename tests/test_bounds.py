@@ -262,6 +262,7 @@ def counts_of(tracer) -> tuple[dict[str, int], int]:
     return held, sum(len(b.data) for b in tracer.retained if b.kind == Kind.POLYGON)
 
 
+@pytest.mark.usefixtures("quick_records")
 @pytest.mark.parametrize("name", ["1x1x1", "2x2x2", "5x4x2"])
 @pytest.mark.parametrize("budget", [100, 262_144])
 def test_the_memory_of_every_node_is_below_its_bound(name, budget):

@@ -58,3 +58,19 @@ def test_nothing_heavy_is_imported_unasked(program, absent):
     look = f"{program}\nimport sys\nprint(*sys.modules)"
     run = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True, timeout=60)
     assert not absent & set(run.stdout.split())
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["render", "--help"], ["info", "--help"], ["--version"]])
+def test_help_comes_without_what_is_slow_to_import(arguments):
+    look = f"""
+import atexit, sys
+from raygrid.host.cli import main
+sys.argv = ["raygrid", *{arguments}]
+atexit.register(lambda: print("\\nimported:", *sys.modules))
+main()
+"""
+    run = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, timeout=60)
+    assert run.returncode == 0, run.stderr
+    said, _, imported = run.stdout.rpartition("imported:")
+    assert "raygrid" in said
+    assert not {"numba", "trimesh", "pydantic", "numpy", "zmq", "PIL"} & set(imported.split())

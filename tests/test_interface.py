@@ -148,6 +148,8 @@ def test_wrong_settings_are_told_and_the_array_goes_on(machine):
             machine.render(TINY, **settings)
     with pytest.raises(raygrid.SceneError, match=r"^gone\.nff: there is no such file$"):
         machine.render("gone.nff")
+    with pytest.raises(raygrid.SceneError, match=r"^a scene came as 'a\\x00b\.nff', wanted the name of a file$"):
+        machine.render("a\0b.nff")
     with pytest.raises(TypeError, match="sise"):
         machine.render(TINY, sise=(4, 3))
     assert np.array_equal(machine.render(TINY, size=SIZE).sums, alone(TINY, size=SIZE).sums)

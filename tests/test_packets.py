@@ -245,6 +245,12 @@ def test_shadow_weights_at_the_ends_of_their_range():
     assert sent(1.0) == 1.0
 
 
+def test_an_infinite_intensity_is_sent_as_the_largest():
+    data = return_bytes(1, 0, (math.inf, 1.0, LARGEST_SENT), (0, 0, 0))
+    packets.check(data, SMALL)
+    assert packets.decode(data).values == (LARGEST_SENT, 1.0, LARGEST_SENT)
+
+
 component = st.one_of(st.sampled_from([0.0, -0.0, 1.0, -1.0, 1e-9, -1e-9, 0.5]), st.floats(-1.0, 1.0))
 
 

@@ -6,6 +6,7 @@ import itertools
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support_render import shared
 
@@ -27,12 +28,19 @@ CASES = {
     "lights.toml": Settings(size=(40, 30), samples=1),
     "faces.nff": Settings(size=(48, 48)),
     "tiny.nff": Settings(size=(40, 40), samples=4),
+    "balls_2.nff": Settings(size=(32, 32)),
+    "gears_1.nff": Settings(size=(32, 32)),
 }
+SHARED = ("balls_2.nff", "gears_1.nff")
+BUNDLED = [name for name in CASES if name not in SHARED]
+
+
+pytestmark = pytest.mark.usefixtures("quick_records")
 
 
 @cache
 def scene_of(name):
-    return load_scene(SCENES / name)
+    return load_scene(shared("spd", name) if name in SHARED else SCENES / name)
 
 
 def job_of(name, shape, split, settings=None):
@@ -68,21 +76,39 @@ def test_shapes_and_splits_in_memory(name, tmp_path):
         assert files_of(in_memory(name, shape, split), tmp_path) == expected, (shape, split)
 
 
-@pytest.mark.parametrize("name", ["kinds.nff", "tiny.nff"])
+@pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("batch", [1, 7])
 def test_small_batches_in_memory(name, batch, tmp_path):
-    picture = in_memory(name, (2, 2, 2), "balanced", batch)
-    assert files_of(picture, tmp_path) == files_of(reference(name), tmp_path)
+    for shape, split in (((2, 1, 1), "uniform"), ((2, 2, 2), "balanced")):
+        picture = in_memory(name, shape, split, batch)
+        assert files_of(picture, tmp_path) == files_of(reference(name), tmp_path), (shape, split)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_pictures_are_not_empty(name):
+    picture = reference(name)
+    assert len(np.unique(picture.sums.reshape(-1, 3), axis=0)) > 50
+    assert len(np.unique(picture.bytes())) > 30
 
 
 @pytest.mark.usefixtures("no_leftovers")
-@pytest.mark.parametrize(("shape", "batch"), [((2, 2, 2), 4096), ((2, 2, 2), 1), ((4, 3, 1), 256), ((3, 3, 3), 4096)])
-def test_processes(shape, batch, tmp_path):
+@pytest.mark.parametrize(
+    ("shape", "batch", "names", "splits", "runs"),
+    [
+        ((2, 2, 2), 4096, BUNDLED, SPLITS, 2),  # run again: another schedule, the same bits
+        ((2, 2, 2), 1, ["kinds.nff", "tiny.nff"], ["balanced"], 1),
+        ((4, 3, 1), 256, ["glass.toml", "room.glb"], SPLITS, 1),
+        ((3, 3, 3), 4096, ["lights.toml", "faces.nff"], SPLITS, 1),
+        ((2, 1, 1), 7, ["kinds.nff", "glass.toml"], ["uniform"], 1),
+        ((5, 4, 2), 4096, ["kinds.nff", "room.glb"], ["balanced"], 1),  # the size that the paper planned to build
+    ],
+    ids=lambda value: "x".join(map(str, value)) if isinstance(value, tuple) else None,
+)
+def test_processes(shape, batch, names, splits, runs, tmp_path):
     with Array.launch(shape, batch=batch) as array:
-        for name, split in itertools.product(CASES, SPLITS):
-            for _ in range(2):  # run again: another schedule, the same bits
-                picture = render_job(array.driver, job_of(name, shape, split))
-                assert files_of(picture, tmp_path) == files_of(reference(name), tmp_path), (name, split)
+        for name, split, _ in itertools.product(names, splits, range(runs)):
+            picture = render_job(array.driver, job_of(name, shape, split))
+            assert files_of(picture, tmp_path) == files_of(reference(name), tmp_path), (name, split)
 
 
 @pytest.mark.slow
@@ -91,7 +117,7 @@ def test_processes(shape, batch, tmp_path):
 @pytest.mark.parametrize("batch", [1, 4096])
 def test_all_shapes_as_processes(shape, batch, tmp_path):
     with Array.launch(shape, batch=batch) as array:
-        for name, split in itertools.product(CASES, SPLITS):
+        for name, split in itertools.product(BUNDLED, SPLITS):
             picture = render_job(array.driver, job_of(name, shape, split))
             assert files_of(picture, tmp_path) == files_of(reference(name), tmp_path), (name, split)
 
