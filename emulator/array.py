@@ -42,6 +42,7 @@ class Array:
     shape    processors on each axis
     batch    most packets a message, 1 or more
     patience seconds without any progress after which the array is taken to hang (`driver.PATIENCE`)
+    on_wait  called whenever the host waits for the array, at least four times a second; what it raises is passed on
     """
 
     def __init__(
@@ -50,10 +51,12 @@ class Array:
         batch: int = BATCH,
         patience: float | None = None,
         on_warming: Callable[[int, int, str], None] | None = None,
+        on_wait: Callable[[], None] | None = None,
     ) -> None:
         check_fits(shape)
         self.shape, self.batch, self.patience = shape, batch, patience
         self._on_warming = on_warming
+        self._on_wait = on_wait
         self._nursery: Nursery | None = None
         self._place: Place | None = None
         self._context: zmq.Context[Any] | None = None
@@ -150,6 +153,8 @@ class Array:
         """Wait for messages of corners and events of processes, and take them in."""
         if self._lost is not None:
             raise self._lost
+        if self._on_wait is not None and not self._closing:
+            self._on_wait()
         corner_of = {pair.socket: corner for corner, pair in self._pairs.items()}
         for ready, _ in self._poller.poll(int(seconds * 1000)):
             if ready in corner_of:
