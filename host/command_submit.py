@@ -158,7 +158,7 @@ class _Teller:
                 write_result(os.path.relpath(file) if _is_below(file) else file)
 
     def _progress(self, event: Facts) -> None:
-        words: str = WORDS.get(event["phase"], event["phase"])
+        words = WORDS.get(event["phase"], str(event["phase"]))
         if self._frames == 1:
             if words != self._phase:
                 self._phase = words
