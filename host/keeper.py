@@ -7,16 +7,14 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from raygrid.emulator.array import Array
-from raygrid.emulator.places import process_state
-from raygrid.node.errors import ArrayError, LostProcess, ProtocolError, RaygridError, TooLarge
+from raygrid.node.errors import ArrayError, ProtocolError, RaygridError, TooLarge
 
 if TYPE_CHECKING:
+    from raygrid.emulator.driver import Progress
     from raygrid.host.picture import Picture
     from raygrid.host.render import Watch
     from raygrid.host.scene_store import Ready
-
-ATTEMPTS = 4  # to render a frame, faults between them
-GONE = ("", "Z", "X")  # states of a process that has ended
+    from raygrid.host.steady import Fault
 
 Shape = tuple[int, int, int]
 OnFault = Callable[[str], None]
@@ -29,26 +27,40 @@ class NoArray(ArrayError):
 class Keeper:
     """Keeps one array.
 
-    shape    processors on each axis
-    options  of `Array`
-    floods   how often a scene was loaded
-    on_fault told of each fault that was repaired
+    shape     processors on each axis
+    options   of `Array`
+    floods    how often a scene was loaded
+    on_fault  told of each fault that was repaired
+    on_wait   called often while a frame is rendered; raises to give the frame up
     """
 
-    def __init__(self, shape: Shape, on_fault: OnFault, **options: Any) -> None:
+    def __init__(self, shape: Shape, on_fault: OnFault, on_wait: Callable[[], None], **options: Any) -> None:
         self.shape, self.floods = shape, 0
-        self._on_fault = on_fault
+        self._on_fault, self._on_wait = on_fault, on_wait
         self._options = options
         self._array: Array | None = None
         self._holds = ""  # digest of what the array holds
+        self._used = False  # by a frame that did not come to its end
 
     def launch(self) -> None:
         """Launch the array. Raises NoArray."""
         self._holds = ""
-        try:
+        with self._launching():
             self._array = Array.launch(self.shape, **self._options)
+
+    @contextlib.contextmanager
+    def _launching(self) -> Any:
+        """What goes wrong in this block leaves no array. Raises NoArray."""
+        try:
+            yield
         except (RaygridError, OSError, MemoryError) as error:
-            raise NoArray(f"the array cannot be launched: {error}") from error
+            self.close()
+            raise NoArray(f"the array cannot be launched: {error or 'out of memory'}") from error
+
+    @property
+    def there(self) -> bool:
+        """Whether there is an array."""
+        return self._array is not None
 
     @property
     def pids(self) -> list[int]:
@@ -56,51 +68,68 @@ class Keeper:
         array = self._array
         return [] if array is None else list(array.pids)
 
+    @property
+    def epoch(self) -> int:
+        """How often the array was reset since it was launched. May be asked by any thread."""
+        array = self._array
+        return -1 if array is None else array.epoch
+
     def check(self) -> None:
-        """Repair the array if it has lost a node while it had nothing to do, or is not there. Raises NoArray."""
+        """Repair the array if it has failed while it had nothing to do, or is not there. Raises NoArray."""
         if self._array is None:
             self.launch()
-        gone = [pid for pid in self.pids if process_state(pid) in GONE]
-        if gone:
-            self._on_fault(f"node process {gone[0]} ended while the array had nothing to do")
+            return
+        try:
+            self._array.check()
+        except (ArrayError, ProtocolError) as error:
             self.reset()
+            self._on_fault(str(error))
 
     def reset(self) -> None:
-        """Empty the array, whatever its state. Raises NoArray if it cannot be launched again."""
-        self._holds = ""
-        self.close()
-        self.launch()
+        """Empty the array, whatever its state. Raises NoArray if that cannot be."""
+        self._holds, self._used = "", False
+        if self._array is None:
+            self.launch()
+            return
+        with self._launching():
+            self._array.reset()
 
     def render(self, ready: Ready, budget: int, watch: Watch) -> Picture:
-        """Render a frame, again if the array fails meanwhile. Raises RaygridError."""
-        from raygrid.host.render import render_job
+        """Render a frame, again if the array fails meanwhile. Raises RaygridError, and what `on_wait` raises."""
+        from raygrid.host.steady import render_steadily
 
-        for attempt in range(1, ATTEMPTS + 1):
-            if self._array is None:
-                self.launch()
-            assert self._array is not None
-            try:
-                loaded = self._holds == ready.loaded
-                noted = self._noting(ready, loaded, watch)
-                return render_job(self._array.driver, ready.job, budget, noted, loaded)
-            except (ArrayError, ProtocolError) as error:
-                if isinstance(error, TooLarge):
-                    raise
-                if attempt == ATTEMPTS:
-                    self.reset()
-                    raise
-                self._on_fault(str(error))
-                self.reset()
-        raise LostProcess("unreachable")
+        if self._used:  # a frame before was given up, or failed for good
+            self.reset()
+        elif self._array is None:
+            self.launch()
+        assert self._array is not None
+        epoch, self._used = self._array.epoch, True
+        self._array.on_wait = self._on_wait
+        try:
+            loaded = self._holds == ready.loaded
+            watching = self._noting(ready, loaded, watch)
+            picture = render_steadily(self._array, ready.job, budget, watching, loaded, on_fault=self._tell)
+            self._used = False
+            return picture
+        except TooLarge:
+            self._used = self._array.epoch != epoch
+            raise
+        finally:
+            if self._array is not None:
+                self._array.on_wait = None
+
+    def _tell(self, fault: Fault) -> None:
+        self._on_fault(f"{fault.what}; repaired in {fault.seconds[1]:.2f} s, {fault.restarts} nodes forked anew")
 
     def _noting(self, ready: Ready, loaded: bool, watch: Watch) -> Watch:
         """A watch that notes when the surfaces are all there."""
         if not loaded:
             self._holds = ""
 
-        def noting(phase: str, progress: Any) -> None:
+        def noting(phase: str, progress: Progress | None) -> None:
             if phase == "load":
                 self.floods += 1
+                self._holds = ""
             elif phase == "trace" and progress is None:
                 self._holds = ready.loaded
             watch(phase, progress)
@@ -110,6 +139,8 @@ class Keeper:
     def close(self) -> None:
         """End the array. May be called twice."""
         array, self._array = self._array, None
+        self._holds, self._used = "", False
         if array is not None:
+            array.on_wait = None
             with contextlib.suppress(RaygridError):
                 array.close()

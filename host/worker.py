@@ -97,12 +97,12 @@ class Worker(threading.Thread):
         self.keeper = Keeper(
             options.shape,
             lambda what: post(Event("fault", self._task, {"what": what})),
+            self._look,
             batch=options.batch,
             patience=options.patience,
             on_warming=lambda *now: post(
                 Event("warming", None, dict(zip(("done", "total", "what"), now, strict=True)))
             ),
-            on_wait=self._look,
         )
         self._store: SceneStore | None = None
         self._journal: Journal | None = None
@@ -160,7 +160,7 @@ class Worker(threading.Thread):
     def _serve(self) -> None:
         while not self._ending:
             try:
-                given = self._inbox.get(timeout=LOOK_SECONDS if self.keeper.pids else LAUNCH_SECONDS)
+                given = self._inbox.get(timeout=LOOK_SECONDS if self.keeper.there else LAUNCH_SECONDS)
             except queue.Empty:
                 self._repair(self.keeper.check)
                 continue
