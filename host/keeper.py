@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -40,7 +41,7 @@ class Keeper:
         self._options = options
         self._array: Array | None = None
         self._holds = ""  # digest of what the array holds
-        self._used = False  # by a frame that did not come to its end
+        self._spoilt = False  # and must be reset before the next frame
 
     def launch(self) -> None:
         """Launch the array. Raises NoArray."""
@@ -82,12 +83,13 @@ class Keeper:
         try:
             self._array.check()
         except (ArrayError, ProtocolError) as error:
+            begun = time.perf_counter()
             self.reset()
-            self._on_fault(str(error))
+            self._on_fault(f"{error}; it was idle, and repaired in {time.perf_counter() - begun:.2f} s")
 
     def reset(self) -> None:
         """Empty the array, whatever its state. Raises NoArray if that cannot be."""
-        self._holds, self._used = "", False
+        self._holds, self._spoilt = "", False
         if self._array is None:
             self.launch()
             return
@@ -98,21 +100,21 @@ class Keeper:
         """Render a frame, again if the array fails meanwhile. Raises RaygridError, and what `on_wait` raises."""
         from raygrid.host.steady import render_steadily
 
-        if self._used:  # a frame before was given up, or failed for good
+        if self._spoilt:  # a frame before was given up, or failed for good
             self.reset()
         elif self._array is None:
             self.launch()
         assert self._array is not None
-        epoch, self._used = self._array.epoch, True
+        epoch = self._array.epoch
         self._array.on_wait = self._on_wait
         try:
             loaded = self._holds == ready.loaded
             watching = self._noting(ready, loaded, watch)
-            picture = render_steadily(self._array, ready.job, budget, watching, loaded, on_fault=self._tell)
-            self._used = False
-            return picture
-        except TooLarge:
-            self._used = self._array.epoch != epoch
+            return render_steadily(self._array, ready.job, budget, watching, loaded, on_fault=self._tell)
+        except BaseException as error:
+            # The driver drops what is left of a frame that was given up; only a reset that was given up must be repeated.
+            failed = isinstance(error, ArrayError | ProtocolError) and not isinstance(error, TooLarge)
+            self._spoilt = failed or self._array.epoch != epoch
             raise
         finally:
             if self._array is not None:
@@ -139,7 +141,7 @@ class Keeper:
     def close(self) -> None:
         """End the array. May be called twice."""
         array, self._array = self._array, None
-        self._holds, self._used = "", False
+        self._holds, self._spoilt = "", False
         if array is not None:
             array.on_wait = None
             with contextlib.suppress(RaygridError):
