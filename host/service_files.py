@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from raygrid.emulator.places import process_mark, process_state
+from raygrid.emulator.places import process_mark
 from raygrid.node.errors import ArrayError
 
 DEFAULT_NAME = "default"
@@ -52,8 +52,8 @@ class Record:
 
     @property
     def alive(self) -> bool:
-        """Whether that process is there, and not only waits to be asked how it ended."""
-        return process_mark(self.pid) == self.mark and process_state(self.pid) not in ("Z", "X")
+        """Whether that process is there."""
+        return process_mark(self.pid) == self.mark
 
 
 def check_array_name(name: str) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from raygrid.host.outputs import SUMS
 
 KEYWORD = "raygrid"  # of the digest in a .png
+PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
 Recorded = Callable[[str, str], bool]
 
 
@@ -41,11 +42,20 @@ def _digest_of_picture(path: str, width: int, height: int) -> str | None:
 
     try:
         with Image.open(path) as picture:
+            picture.verify()  # of a .png every chunk, which the decoder does not need
+            png = picture.format == "PNG"
+        with Image.open(path) as picture:
             size = picture.size
             picture.load()  # all of it
             text = picture.info.get(KEYWORD, "")
     except Exception:  # Pillow's decoders raise nearly anything on damaged data
         return None
-    if size != (width, height):
+    if size != (width, height) or (png and not _has_png_end(path)):
         return None
     return text if isinstance(text, str) else ""
+
+
+def _has_png_end(path: str) -> bool:
+    with open(path, "rb") as file:
+        file.seek(-len(PNG_END), os.SEEK_END)
+        return file.read() == PNG_END

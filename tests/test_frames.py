@@ -92,6 +92,15 @@ def test_a_torn_file_is_not_whole(picture, tmp_path, suffix):
         assert not is_whole(str(file), "digest", 32, 24, always), length
 
 
+def test_a_png_without_its_very_end_is_not_whole(picture, tmp_path):
+    file = tmp_path / "a.png"
+    picture.save(file, texts={KEYWORD: "digest"})
+    data = file.read_bytes()
+    for length in range(len(data) - 20, len(data)):
+        file.write_bytes(data[:length])
+        assert not is_whole(str(file), "digest", 32, 24, always), len(data) - length
+
+
 def test_what_is_no_file_is_not_whole(tmp_path):
     assert not is_whole(str(tmp_path), "digest", 32, 24, always)
     assert not is_whole(str(tmp_path / "none.png"), "digest", 32, 24, always)
