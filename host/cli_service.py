@@ -53,6 +53,7 @@ Examples:
 RESET_EXAMPLES = """\b
 Examples:
   raygrid reset
+  raygrid reset --name film
 """
 DOWN_EXAMPLES = """\b
 Examples:
