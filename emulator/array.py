@@ -170,6 +170,8 @@ class Array:
             except FAULTS:
                 if left == 0 or self._nursery is None or not self._nursery.alive:
                     raise
+            except (OSError, zmq.ZMQError) as error:
+                raise ArrayError(f"the links of the array cannot be opened: {error.strerror}") from error
 
     def _begin_epoch(self) -> None:
         """Drop the links, bring all nodes to the next epoch, and wait until all links are up."""
