@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import resource
 import shutil
 import signal
@@ -110,6 +111,25 @@ def test_a_node_lost_while_tracing_costs_a_repeat_and_no_bit(array, tmp_path, nu
     assert status["faults"]["count"] == faults + 1
     assert f"node 1,0,0 (pid {pid})" in status["faults"]["last"][-1]["what"]
     assert [event for event in seen if event["what"] == "fault"]
+
+
+# A floor that fills the picture and is not lit: hardly any work for many pixels.
+FLOOR = (
+    "v from 0 0 5 at 0 0 0 up 0 1 0 angle 40 hither 1 resolution 9 9 f 1 1 1 1 0 0 0 0 p 4 -9 -9 0 9 -9 0 9 9 0 -9 9 0"
+)
+
+
+def test_a_node_out_of_memory_is_named_and_costs_no_bit(array, tmp_path):
+    (tmp_path / "floor.nff").write_text(FLOOR)
+    faults, pid = array.status()["faults"]["count"], node_pid(array)
+    with open(f"/proc/{pid}/statm") as file:
+        used = int(file.read().split()[0]) * resource.getpagesize()
+    resource.prlimit(pid, resource.RLIMIT_AS, (used, resource.RLIM_INFINITY))  # not a byte more
+    array.submit(tmp_path / "floor.nff", output=tmp_path / "a.npy", size=(1500, 1000)).wait()
+    assert np.array_equal(np.load(tmp_path / "a.npy"), sums(tmp_path / "floor.nff", size=(1500, 1000)))
+    status = array.status()
+    assert status["faults"]["count"] == faults + 1
+    assert re.search(rf"node 1,0,0 \(pid {pid}\) ended: ", status["faults"]["last"][-1]["what"])
 
 
 def test_a_node_lost_while_idle_is_replaced_unasked(array, tmp_path):
