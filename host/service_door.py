@@ -40,8 +40,8 @@ class Client:
     follows  jobs that it is told of
     """
 
-    def __init__(self, writer: asyncio.StreamWriter) -> None:
-        self._writer = writer
+    def __init__(self, writer: asyncio.StreamWriter, on_slow: Callable[[], None]) -> None:
+        self._writer, self._on_slow = writer, on_slow
         self.follows: set[int] = set()
 
     def send(self, message: Message, droppable: bool = False) -> None:
@@ -52,6 +52,7 @@ class Client:
             return
         self._writer.write(pack(message))
         if transport.get_write_buffer_size() > MOST_UNSENT:
+            self._on_slow()
             transport.abort()
 
     def close(self) -> None:
@@ -108,7 +109,7 @@ class Door:
         task = asyncio.current_task()
         assert task is not None
         self._tasks.add(task)
-        client = Client(writer)
+        client = Client(writer, lambda: self.refused.update(slow=1))
         try:
             await self._meet(client, reader, writer)
         except (OSError, asyncio.CancelledError):
