@@ -42,6 +42,7 @@ class Array:
     shape    processors on each axis
     batch    most packets a message, 1 or more
     patience seconds without any progress after which the array is taken to hang (`driver.PATIENCE`)
+    profile  whether nodes say where their time goes (`node.profile`)
     """
 
     def __init__(
@@ -50,8 +51,10 @@ class Array:
         batch: int = BATCH,
         patience: float | None = None,
         on_warming: Callable[[int, int, str], None] | None = None,
+        profile: bool = False,
     ) -> None:
         check_fits(shape)
+        self.profile = profile
         self.shape, self.batch, self.patience = shape, batch, patience
         self._on_warming = on_warming
         self._nursery: Nursery | None = None
@@ -141,6 +144,7 @@ class Array:
                 "epoch": EPOCH,
                 "machine": machine,
                 "batch": self.batch,
+                "profile": self.profile,
                 "links": links[index],
             }
             for index in indices(self.shape)

@@ -29,6 +29,7 @@ class Request:
     shape     processors on each axis
     outputs   paths of pictures and sums
     stats     path of the statistics, or None
+    profile   whether to say where the nodes' time went
     settings  of `raygrid.host.job.Settings`
     """
 
@@ -41,6 +42,7 @@ class Request:
     stats: str | None
     patience: float
     quiet: bool
+    profile: bool
     settings: dict[str, Any]
 
 
@@ -64,13 +66,19 @@ def run_render(request: Request) -> None:
             talk.remark("no ray of the camera meets a surface: the picture shows the background only")
         for line in _summary(picture):
             talk.say(line)
+        if request.profile:
+            from raygrid.host.profile_table import profile_table
+
+            talk.table(profile_table(picture.stats["nodes"]))
     for output in request.outputs:
         write_result(output)
 
 
 def _render(request: Request, talk: Talk, begun: float) -> Picture:
     shape = request.shape
-    with Array(shape, batch=request.batch, patience=request.patience, on_warming=talk.warming) as array:
+    with Array(
+        shape, batch=request.batch, patience=request.patience, on_warming=talk.warming, profile=request.profile
+    ) as array:
         array.begin()
         talk.phase(f"reading {request.scene}")
         job = _read_job(request, talk, array.wait_warm)
