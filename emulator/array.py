@@ -57,6 +57,7 @@ class Array:
     injected  messages that were hit by it so far
     on_words  called as on_words(index, words) with what a node says on its line, but for its acknowledgements
     profile   whether nodes say where their time goes (`node.profile`)
+    on_wait   called whenever the host waits for the array, four times a second or more; what it raises is passed on
     """
 
     def __init__(
@@ -77,6 +78,7 @@ class Array:
         self.epoch, self.restarts = -1, 0
         self.on_words: Callable[[Index, Words], None] | None = None
         self._on_warming = on_warming
+        self.on_wait: Callable[[], None] | None = None
         self._nursery: Nursery | None = None
         self._crew: Crew | None = None
         self._place: Place | None = None
@@ -233,6 +235,8 @@ class Array:
         """Wait for messages of corners and events of processes, and take them in."""
         if self._lost is not None:
             raise self._lost
+        if self.on_wait is not None and not self._closing:
+            self.on_wait()
         corner_of = {pair.socket: corner for corner, pair in self._pairs.items()}
         found = self._poller.poll(int(seconds * 1000))
         try:

@@ -32,6 +32,8 @@ Examples:
   raygrid render balls.nff --split uniform -o balls.npy --stats balls.json
   raygrid info scenes/room.glb
   raygrid export scenes/kinds.nff -o kinds.pov
+  raygrid up --array 2x2x2
+  raygrid submit scenes/room.glb -o room.png
 """
 RENDER_EXAMPLES = """\b
 Examples:
@@ -222,6 +224,11 @@ def export(scene: str, depth: int | None, highlights: bool | None, output: str |
     from raygrid.host.outputs import write_result
 
     write_result(export_file(scene, output, depth, highlights))
+
+
+from raygrid.host.cli_service import add_commands as _add_service_commands  # noqa: E402  (it uses the types above)
+
+_add_service_commands(cli, render, _debug_option)
 
 
 def _lines(facts: dict[str, Any], indent: str = "") -> Iterator[str]:
