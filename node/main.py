@@ -28,7 +28,8 @@ def run(config: dict[str, Any], life: int, line: int) -> None:
     """Be one node until the order `end`, or until the pipe `life` closes because the launcher is gone.
 
     config  index [x, y, z], shape, epoch, machine (name of the array), batch (most packets a message), and
-            links: a list of {port, endpoint, bind}; and fault, (kind, rate, seed) of `node.faulty`, if it is wanted
+            links: a list of {port, endpoint, bind}; and if wanted fault, (kind, rate, seed) of `node.faulty`, and
+            profile (whether to say where time goes)
     line    descriptor of the node's end of the line to the host (`node.line`)
 
     A reset order on the line ends an epoch, whatever its state: links, packets, surfaces and pixels are dropped, and
@@ -112,6 +113,10 @@ def _serve(
 ) -> dict[str, Any] | None:
     index, shape = tuple(config["index"]), tuple(config["shape"])
     processor = Processor(index, shape, open_links(config, channels), config["batch"])
+    if config.get("profile"):
+        from .profile import Profile
+
+        Profile(processor)
     faults = [channel for channel in channels.values() if isinstance(channel, Faulty)]
     ports = {pair.socket: port for port, pair in pairs.items()}
     poller = zmq.Poller()
