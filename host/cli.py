@@ -53,6 +53,22 @@ Examples:
   raygrid export scenes/kinds.nff
   raygrid export scenes/room.glb --depth 3 -o room.pov
 """
+TRACE_EXAMPLES = """\b
+Examples:
+  raygrid trace scenes/tiny.nff --pixel 128,128
+  raygrid trace scenes/glass.toml --pixel 200,150 --array 3x3x3 --samples 4 --sample 2
+  raygrid trace scenes/room.glb --pixel 20,10 --size 64x48 --json
+
+The picture's pixel 0,0 is top left. The sums printed are those of the .npy of `raygrid render`; docs/trace.md says more.
+"""
+JAM_EXAMPLES = """\b
+Examples:
+  raygrid jam scenes/tiny.nff
+  raygrid jam scenes/kinds.nff --array 3x3x3 --room 256 --budget 8
+  raygrid jam scenes/glass.toml --size 128x96 --json
+
+docs/deadlock.md has what this shows, with counts.
+"""
 
 
 class Pair(AnyType):
@@ -67,6 +83,21 @@ class Pair(AnyType):
             self.fail(f"{_shorten(value)} came, wanted two whole numbers such as 512x384", param, ctx)
         if any(len(number) > 9 or int(number) < 1 for number in numbers):
             self.fail(f"{_shorten(value)} came, wanted sides of 1 to 65536", param, ctx)
+        return int(numbers[0]), int(numbers[1])
+
+
+class Place(AnyType):
+    """A pixel, `200,150`."""
+
+    name = "place"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        """Raises a usage error for anything else."""
+        numbers = str(value).split(",")
+        if len(numbers) != 2 or not all(
+            number.isascii() and number.isdigit() and len(number) < 10 for number in numbers
+        ):
+            self.fail(f"{_shorten(value)} came, wanted column and row such as 200,150", param, ctx)
         return int(numbers[0]), int(numbers[1])
 
 
@@ -200,6 +231,65 @@ def export(scene: str, depth: int | None, highlights: bool | None, output: str |
     from raygrid.host.outputs import write_result
 
     write_result(export_file(scene, output, depth, highlights))
+
+
+def _frame_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The options of `render` that say what is traced, for commands that trace in memory."""
+    options = (
+        click.option("--array", "shape", type=Shape(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
+                     help="Processors on each axis."),
+        click.option("--size", type=Pair(), metavar="WxH", help="Pixels, as for render."),
+        click.option("--samples", type=Number(1, 1 << 32), metavar="N", help="Samples a pixel, as for render."),
+        click.option("--depth", type=Number(1, 31), metavar="N", help="Depth of the last hit that is lit, as for render."),
+        click.option("--min-weight", type=Number(0.0, 1e30), metavar="WEIGHT", help="Least weight of rays, as for render."),
+        click.option("--highlights/--no-highlights", default=None, help="Phong highlights, as for render."),
+        click.option("--split", type=click.Choice(["balanced", "uniform"]), default="balanced", show_default=True,
+                     help="Where the planes between processors lie, as for render."),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+@cli.command(epilog=TRACE_EXAMPLES)
+@click.argument("scene")
+@click.option("--pixel", type=Place(), required=True, metavar="X,Y", help="Column and row, 0,0 top left.")
+@click.option("--sample", type=Number(0, 1 << 32), metavar="K", help="This sample of the pixel only.  [default: all]")
+@_frame_options
+@click.option("--json", "as_json", is_flag=True, help="As JSON.")
+@_debug_option
+def trace(
+    scene: str, shape: tuple[int, int, int], pixel: tuple[int, int], sample: int | None, as_json: bool, **settings: Any
+) -> None:
+    """Print the tree of rays of one pixel: where each went, what it hit, what came back.
+
+    SCENE is a file of one of these kinds: .nff .obj .ply .stl .glb .gltf .toml
+    """
+    from raygrid.host.command_trace import Request, run_trace
+
+    run_trace(Request(scene, shape, pixel, sample, as_json, settings))
+
+
+@cli.command(epilog=JAM_EXAMPLES)
+@click.argument("scene")
+@click.option("--room", type=Number(1, 1 << 20), default=64, show_default=True, metavar="PACKETS",
+              help="What the buffer of a link holds, each way.")
+@click.option("--budget", type=Number(1, (1 << 32) - 1), metavar="RAYS",
+              help="Primary rays alive at once, with admission.  [default: as many as can surely not jam, 1 at least]")
+@_frame_options
+@click.option("--json", "as_json", is_flag=True, help="As JSON.")
+@_debug_option
+def jam(
+    scene: str, shape: tuple[int, int, int], room: int, budget: int | None, as_json: bool, **settings: Any
+) -> None:
+    """Let a naive machine jam: finite buffers, no admission. Then the same load with admission.
+
+    An experiment in one process, by the ray step of the machine itself; the default size is 64x64.
+    SCENE is a file of one of these kinds: .nff .obj .ply .stl .glb .gltf .toml
+    """
+    from raygrid.host.command_jam import Request, run_jam
+
+    run_jam(Request(scene, shape, room, budget, as_json, settings))
 
 
 def _lines(facts: dict[str, Any], indent: str = "") -> Iterator[str]:

@@ -49,7 +49,7 @@ def bear_primaries(cell, space, frame, pixels, cursor, packets, first, room, cou
             i += (stride - i % stride) % stride
             while i < end and made < room:
                 if not (coarser and i % (2 * stride) == 0):
-                    made += _bear(
+                    made += bear_primary(
                         cell, space, frame, pixels, i, j, cursor[NUMBER], packets, first + made, white, counts
                     )
                 i += stride
@@ -75,7 +75,7 @@ def _next_level(frame, cursor):
 
 
 @lean
-def _bear(cell, space, frame, pixels, i, j, number, packets, k, white, counts):
+def bear_primary(cell, space, frame, pixels, i, j, number, packets, k, white, counts):
     """Write the primary ray of one sample if its home is here; returns 1 or 0."""
     sample = (j * frame.width + i) * frame.samples + number
     x, y = image_point(sample, frame.width, frame.samples)
