@@ -1,0 +1,139 @@
+"""Diagnostic probes: a node tells on its line how it stands, so many times a second as the host has asked for (law 9).
+
+A sample only reads. It goes up the line if there is room, and is dropped and counted if nobody reads. It is a map:
+
+    is        "sample"
+    epoch     of the node
+    number    of the sample in this epoch, dropped ones counted too
+    time      seconds of this computer's monotonic clock, which all its processes share
+    phase     load, trace, collect or idle: of the last order
+    counts    int64 as bytes, the counts of `node.tables` for this frame
+    queues    packets that wait: returns and pixels, shadow rays, other rays
+    waiting   int list (PORTS + 2) x (kinds), row by row: those packets by the port of their arrival (6: host, 7: born
+              here) and by kind; of each queue the newest LOOKED_AT at most
+    outputs   packets on the six ports' outputs and that to the host, not yet sent
+    links     [port, messages that wait, messages sent, bytes sent, messages received] a link
+    surfaces  held
+    memory    bytes by use, as in the record of a node, and resident (of the process)
+    cpu       seconds of processor time since the process began
+    dropped   words that this node could not say on its line
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from .errors import ProtocolError
+from .packets import KINDS, SIZE
+from .walk import HOST, SELF
+
+if TYPE_CHECKING:
+    from .processor import Processor
+
+FASTEST = 100.0  # samples a second
+LOOKED_AT = 32_768  # packets of a queue; counting more would take a millisecond
+ARRIVALS = SELF + 1
+NEVER = float("inf")
+PAGE = os.sysconf("SC_PAGE_SIZE")
+
+
+class Speaker(Protocol):
+    """The node's end of its line."""
+
+    dropped: int
+
+    def send(self, words: dict[str, Any]) -> bool:
+        """Say something now, or not at all."""
+
+
+def read_rate(order: dict[str, Any]) -> float:
+    """Samples a second of an order {do: probe, rate}; 0: none. Raises ProtocolError."""
+    rate = order.get("rate")
+    if not isinstance(rate, int | float) or isinstance(rate, bool) or not 0.0 <= rate <= FASTEST:
+        raise ProtocolError(f"a rate of probes came as {rate!r}, wanted 0 to {FASTEST:g} samples a second")
+    return float(rate)
+
+
+class Probe:
+    """When a node is to speak, and what it says.
+
+    due   moment of the next sample by `clock`; infinite while nobody wants any
+    """
+
+    def __init__(self, line: Speaker, epoch: int, clock: Callable[[], float] = time.monotonic) -> None:
+        self._line, self._epoch, self._clock = line, epoch, clock
+        self._period = 0.0
+        self._number = 0
+        self.due = NEVER
+
+    def set_rate(self, rate: float) -> None:
+        """Samples a second from now on, the first one at once; 0: none."""
+        self._period = 1.0 / rate if rate else 0.0
+        self.due = self._clock() if rate else NEVER
+
+    def patience(self, limit: float | None) -> float | None:
+        """Seconds until the next sample is due, if that is sooner than a limit; None: no limit."""
+        if self.due == NEVER:
+            return limit
+        left = max(0.0, self.due - self._clock())
+        return left if limit is None else min(limit, left)
+
+    def maybe_speak(self, processor: Processor) -> None:
+        """Say a sample if one is due. A node that was busy for longer than a period does not make up for it."""
+        now = self._clock()
+        if now < self.due:
+            return
+        self.due = max(self.due + self._period, now)
+        self._line.send(sample(processor, self._epoch, self._number, now, self._line.dropped))
+        self._number += 1
+
+
+def sample(processor: Processor, epoch: int, number: int, now: float, dropped: int) -> dict[str, Any]:
+    """How a node stands."""
+    tracer = processor.tracer
+    return {
+        "is": "sample",
+        "epoch": epoch,
+        "number": number,
+        "time": now,
+        "phase": processor.phase,
+        "counts": tracer.counts.astype("<i8").tobytes(),
+        "queues": [stack.held for stack in tracer.backlog.stacks],
+        "waiting": _waiting(processor),
+        "outputs": tracer.outputs.held[: HOST + 1].tolist(),
+        "links": [
+            [port, link.waiting, link.messages_sent, link.bytes_sent, link.received]
+            for port, link in processor.links.items()
+        ],
+        "surfaces": sum(len(batch) for batch in tracer.retained),
+        "memory": {**tracer.memory, "resident": _resident()},
+        "cpu": time.process_time(),
+        "dropped": dropped,
+    }
+
+
+def _waiting(processor: Processor) -> list[int]:
+    """Packets that wait, by port of arrival and kind."""
+    table = np.zeros(ARRIVALS * KINDS, np.int64)
+    for stack in processor.tracer.backlog.stacks:
+        if stack.held:
+            first = max(0, stack.held - LOOKED_AT)
+            kinds = stack.packets[first * SIZE : stack.held * SIZE : SIZE] & 7
+            at = stack.ports[first : stack.held].astype(np.int64) * KINDS + kinds
+            table += np.bincount(at, minlength=len(table))
+    counted: list[int] = table.tolist()
+    return counted
+
+
+def _resident() -> int:
+    """Bytes of memory of this process, pages that it shares with its launcher included."""
+    try:
+        with open("/proc/self/statm", "rb") as file:
+            return int(file.read().split()[1]) * PAGE
+    except (OSError, ValueError, IndexError):
+        return 0
