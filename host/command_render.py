@@ -80,10 +80,10 @@ def _render(request: Request, talk: Talk, begun: float) -> Picture:
         ready = time.perf_counter()
 
         from raygrid.host.job import samples_expected
-        from raygrid.host.render import render_job
+        from raygrid.host.steady import render_steadily
 
         talk.expect(samples_expected(job))
-        picture = render_job(array.driver, job, request.budget, talk.watch)
+        picture = render_steadily(array, job, request.budget, talk.watch, on_fault=talk.fault)
         picture.stats["wall_seconds"] |= {"read": round(read - begun, 6), "launch": round(ready - read, 6)}
         talk.phase("ending the processors")
     return picture

@@ -18,10 +18,10 @@ import struct
 from enum import IntEnum
 from typing import Any, NamedTuple
 
-import msgpack
 import numpy as np
 
 from .errors import ProtocolError
+from .maps import pack_map, read_map
 from .packets import SIZE
 from .step import HEAD
 from .surfaces import STORED_AS, STRIDE, Batch, Kind
@@ -33,8 +33,6 @@ MAX_MESSAGE = (
 WINDOW = 32  # PACKETS and SURFACES messages under way on one direction of a link
 HEADER = struct.Struct("<BBHIII")
 SURFACE_HEADER = struct.Struct("<BBHII")  # corner, kind, zero, surfaces, points of polygons
-MOST_ITEMS = 1 << 16  # entries of any list or map in an order
-DEEPEST = 8  # lists and maps in each other in an order
 assert HEADER.size == HEAD
 
 
@@ -87,8 +85,7 @@ def check_packets(message: bytes, count: int) -> None:
 
 def pack_order(order: dict[str, Any]) -> bytes:
     """An order (or answer) as bytes. Raises ProtocolError if it is too long for a message."""
-    packed: bytes = msgpack.packb(order, use_bin_type=True)
-    return _short_enough(packed, "an order")
+    return _short_enough(pack_map(order), "an order")
 
 
 def _short_enough(payload: bytes, what: str) -> bytes:
@@ -99,32 +96,7 @@ def _short_enough(payload: bytes, what: str) -> bytes:
 
 def read_order(message: bytes) -> dict[str, Any]:
     """The order of a message. Raises ProtocolError unless it is one map, with string keys all the way down."""
-    try:
-        order = msgpack.unpackb(
-            memoryview(message)[HEAD:],
-            raw=False,
-            strict_map_key=True,
-            max_array_len=MOST_ITEMS,
-            max_map_len=MOST_ITEMS,
-            max_ext_len=0,
-        )
-    except (ValueError, msgpack.UnpackException, RecursionError) as error:
-        raise ProtocolError(f"an order of {len(message) - HEAD} bytes cannot be read: {error}") from None
-    if not isinstance(order, dict):
-        raise ProtocolError(f"an order came as {type(order).__name__}, wanted a map")
-    _check_tree(order, DEEPEST)
-    return order
-
-
-def _check_tree(value: dict[str, Any] | list[Any], deeper: int) -> None:
-    """Raise ProtocolError for keys that are no strings, and for lists and maps nested too deep to be handed on."""
-    if deeper == 0:
-        raise ProtocolError(f"an order came with lists and maps deeper than {DEEPEST}")
-    if isinstance(value, dict) and not all(type(key) is str for key in value):
-        raise ProtocolError("an order came with keys that are bytes, wanted string keys")
-    for inner in value.values() if isinstance(value, dict) else value:
-        if isinstance(inner, dict | list):
-            _check_tree(inner, deeper - 1)
+    return read_map(memoryview(message)[HEAD:], "an order")
 
 
 def pack_surfaces(corner: int, batch: Batch) -> bytes:

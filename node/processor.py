@@ -328,6 +328,7 @@ class Processor:
             "hits": int(counts[HITS]),
             "messages": sum(link.messages_sent for link in self.links.values()),
             "bytes": sum(link.bytes_sent for link in self.links.values()),
+            "stale": sum(link.stale for link in self.links.values()),
             "waiting": tracer.backlog.held + int(tracer.outputs.held.sum()),
             "most_waiting": tracer.backlog.most_held,
             "most_queued_messages": max((link.most_waiting for link in self.links.values()), default=0),

@@ -11,11 +11,10 @@ from support_cases import steady
 from support_messages import message, orders, random_batch, same_batch, surfaces_message
 
 from raygrid.node.errors import ProtocolError
+from raygrid.node.maps import DEEPEST, MOST_ITEMS
 from raygrid.node.messages import (
-    DEEPEST,
     HEADER,
     MAX_MESSAGE,
-    MOST_ITEMS,
     MessageKind,
     check_packets,
     pack_order,
