@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from .crew import Crew, NodeState
     from .driver import Driver
     from .lines import Words
+    from .samples import Sample
 
 BATCH = 4096  # most packets a message
 TRIES = 3  # epochs that are begun before an array counts as one that cannot be
@@ -51,6 +52,7 @@ class Array:
     patience  seconds without any progress after which the array is taken to hang (`driver.PATIENCE`)
     epoch     number of resets so far; -1 before the array was ready
     restarts  nodes that were forked anew so far
+    refused_samples  what came as a sample of a probe and was none
     on_words  called as on_words(index, words) with what a node says on its line, but for its acknowledgements
     """
 
@@ -65,6 +67,9 @@ class Array:
         self.shape, self.batch, self.patience = shape, batch, patience
         self.epoch, self.restarts = -1, 0
         self.on_words: Callable[[Index, Words], None] | None = None
+        self.refused_samples = 0
+        self._rate = 0.0
+        self._on_sample: Callable[[Sample], object] | None = None
         self._on_warming = on_warming
         self._nursery: Nursery | None = None
         self._crew: Crew | None = None
@@ -196,6 +201,8 @@ class Array:
         self._driver.ready()
         self._driver.patience = patience
         self._place.forget_epochs_before(self.epoch)
+        if self._rate:  # nodes that were forked anew have not heard of it
+            self._tell_rate()
 
     def _hang_up(self) -> None:
         """Close the host's ends of the links."""
@@ -206,6 +213,23 @@ class Array:
         self._pairs = {}
 
     # --- while it lives ------------------------------------------------------------------------------
+
+    def probe(self, rate: float, watch: Callable[[Sample], object] | None) -> None:
+        """Let every node tell `rate` times a second how it stands, from now on, after resets too; 0: no more.
+
+        `watch` is called with each sample while somebody waits for the array: by the driver's calls, and by `check`.
+        Samples only read: pictures, counts and machine time are the same with any rate. Raises ProtocolError for a
+        rate that cannot be.
+        """
+        from raygrid.node.probe import read_rate
+
+        self._rate, self._on_sample = read_rate({"rate": rate}), watch
+        self._tell_rate()
+
+    def _tell_rate(self) -> None:
+        if self._crew is not None:
+            for index in self._crew.pids:
+                self._crew.lines.send(index, {"do": "probe", "rate": self._rate})
 
     def check(self) -> None:
         """Look after an array that nobody waits for: take in what has come, and look at the processes.
@@ -247,8 +271,22 @@ class Array:
                 if event.words.get("epoch") == self.epoch:
                     pid = self._crew.pids[event.index]
                     raise ProtocolError(f"node {_name(event.index)} (pid {pid}): {event.words.get('why')}")
+            elif event.words.get("is") == "sample":
+                self._take_sample(event.index, event.words)
             elif event.words.get("is") != "reset" and self.on_words is not None:
                 self.on_words(event.index, event.words)
+
+    def _take_sample(self, index: Index, words: Words) -> None:
+        from .samples import read_sample
+
+        if self._on_sample is None:
+            return
+        try:
+            sample = read_sample(index, words)
+        except ProtocolError:
+            self.refused_samples += 1
+            return
+        self._on_sample(sample)
 
     def _look(self) -> None:
         """Look for stopped nodes, now and then: they send nothing and do not end."""

@@ -19,7 +19,7 @@ from .places import Index
 
 PHASES = ("idle", "load", "trace", "collect")
 PORTS = ("-x", "+x", "-y", "+y", "-z", "+z", "host", "self")  # in the order of node.walk
-KIND_NAMES = {kind: kind.name.lower() for kind in PacketKind}
+KIND_NAMES = {int(kind): kind.name.lower() for kind in PacketKind}
 QUEUES = ("travellers", "shadows", "rays")
 MEMORY = ("surfaces", "pixels", "backlog", "outputs", "resident")
 MOST = 1 << 62
@@ -40,7 +40,7 @@ class Sample:
     """How a node stood at one moment. What it counts begins anew with each frame, but for `links` and `cpu`.
 
     node      its coordinates
-    epoch     number of resets before; number: of the sample in its epoch, a gap where some were dropped
+    epoch     number of resets before; number: of the sample since the process began, a gap where some were dropped
     time      seconds of the monotonic clock
     phase     one of PHASES
     born, died  packets by kind; sent: packets put out by port

@@ -41,7 +41,7 @@ Examples:
   raygrid render balls.nff --array 4x4x1 --split uniform --batch 1
 
 .npy holds the exact sums as int64, height x width x 3: linear radiance x 2^24, added over the samples of a pixel.
-docs/stats.md says what the statistics mean.
+docs/stats.md says what the statistics mean, docs/probes.md what probes tell.
 """
 INFO_EXAMPLES = """\b
 Examples:
@@ -60,6 +60,15 @@ Examples:
   raygrid trace scenes/room.glb --pixel 20,10 --size 64x48 --json
 
 The picture's pixel 0,0 is top left. The sums printed are those of the .npy of `raygrid render`; docs/trace.md says more.
+"""
+PROBE_EXAMPLES = """\b
+Examples:
+  raygrid probe
+  raygrid probe --name big --rate 2 --json
+  raygrid probe --record probes.jsonl --prometheus 9400
+  raygrid probe --replay probes.jsonl --chrome-trace trace.json
+
+docs/probes.md says what samples mean, and what they cost.
 """
 JAM_EXAMPLES = """\b
 Examples:
@@ -181,6 +190,10 @@ def cli() -> None:
               help="Picture (.png .jpg .webp .tif .bmp .ppm), or .npy of the exact sums; may be repeated.  "
                    "[default: the scene's name with .png, here]")
 @click.option("--stats", type=click.Path(), metavar="FILE", help="Write what the machine did as JSON.")
+@click.option("--probe-record", type=click.Path(), metavar="FILE", help="Keep how every node stood, line by line, as JSON.")
+@click.option("--chrome-trace", type=click.Path(), metavar="FILE", help="Write the same as a trace for Perfetto.")
+@click.option("--probe-rate", type=Number(0.01, 100.0), default=10.0, show_default=True, metavar="HZ",
+              help="How often a node tells how it stands, if anybody asks.")
 @click.option("--patience", type=Number(0.1, 1e9), default=30.0, show_default=True, metavar="SECONDS",
               help="Time without any progress after which the array is taken to hang.")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors. (Without a terminal there is hardly any.)")
@@ -192,7 +205,7 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
     """
     from raygrid.host.command_render import Request, default_outputs, run_render
 
-    names = ("batch", "budget", "transfer", "stats", "patience", "quiet")
+    names = ("batch", "budget", "transfer", "stats", "patience", "quiet", "probe_record", "chrome_trace", "probe_rate")
     machine = {name: options.pop(name) for name in names}
     run_render(Request(scene, shape, outputs or default_outputs(scene), **machine, settings=options))
 
@@ -290,6 +303,29 @@ def jam(
     from raygrid.host.command_jam import Request, run_jam
 
     run_jam(Request(scene, shape, room, budget, as_json, settings))
+
+
+@cli.command(epilog=PROBE_EXAMPLES)
+@click.option("--name", metavar="NAME", help="The array, as named by `raygrid up`.")
+@click.option("--replay", type=click.Path(), metavar="FILE", help="Show a recording instead of an array.")
+@click.option("--rate", type=Number(0.01, 100.0), default=10.0, show_default=True, metavar="HZ",
+              help="How often each node tells how it stands.")
+@click.option("--for", "seconds", type=Number(0.0, 1e9), metavar="SECONDS", help="End after this time.  [default: at Ctrl-C]")
+@click.option("--json", "as_json", is_flag=True, help="A line of JSON a sample, instead of the table.")
+@click.option("--record", type=click.Path(), metavar="FILE", help="Keep the samples there, as lines of JSON.")
+@click.option("--chrome-trace", type=click.Path(), metavar="FILE", help="Write a trace for Perfetto at the end.")
+@click.option("--prometheus", type=Number(0, 65535), metavar="PORT", help="Serve aggregates at http://127.0.0.1:PORT/metrics.")
+@_debug_option
+def probe(**options: Any) -> None:
+    """Show how the nodes of an array stand: a table, and a heat map of each layer.
+
+    Probes only read: pictures are the same bits with and without.
+    """
+    if options["replay"] is not None and (options["name"] is not None or options["prometheus"] is not None):
+        raise click.UsageError("--replay came with --name or --prometheus, wanted a recording or an array")
+    from raygrid.host.command_probe import Request, run_probe
+
+    run_probe(Request(**options))
 
 
 def _lines(facts: dict[str, Any], indent: str = "") -> Iterator[str]:

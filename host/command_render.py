@@ -5,8 +5,10 @@ What is heavy to import (numba comes with it) is imported after the nursery was 
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,6 +32,7 @@ class Request:
     outputs   paths of pictures and sums
     stats     path of the statistics, or None
     settings  of `raygrid.host.job.Settings`
+    probe_record, chrome_trace   paths of what probes tell `probe_rate` times a second, or None
     """
 
     scene: str
@@ -42,6 +45,9 @@ class Request:
     patience: float
     quiet: bool
     settings: dict[str, Any]
+    probe_record: str | None = None
+    chrome_trace: str | None = None
+    probe_rate: float = 10.0
 
 
 def run_render(request: Request) -> None:
@@ -83,10 +89,22 @@ def _render(request: Request, talk: Talk, begun: float) -> Picture:
         from raygrid.host.steady import render_steadily
 
         talk.expect(samples_expected(job))
-        picture = render_steadily(array, job, request.budget, talk.watch, on_fault=talk.fault)
+        with _probing(request, array):
+            picture = render_steadily(array, job, request.budget, talk.watch, on_fault=talk.fault)
         picture.stats["wall_seconds"] |= {"read": round(read - begun, 6), "launch": round(ready - read, 6)}
         talk.phase("ending the processors")
     return picture
+
+
+def _probing(request: Request, array: Array) -> AbstractContextManager[Any]:
+    """Probes, if they are asked for."""
+    if request.probe_record is None and request.chrome_trace is None:
+        return contextlib.nullcontext()
+    from raygrid.host.probing import Probing
+
+    probing = Probing(request.shape, request.probe_rate, request.probe_record, request.chrome_trace)
+    array.probe(request.probe_rate, probing.take)
+    return probing
 
 
 def _read_job(request: Request, talk: Talk, wait_warm: Callable[[], None]) -> Job:
@@ -106,9 +124,10 @@ def _check_outputs(request: Request) -> None:
     for output in request.outputs:
         check_picture_path(output)
     written = list(request.outputs)
-    if request.stats is not None:
-        check_path(request.stats)
-        written.append(request.stats)
+    for path in (request.stats, request.probe_record, request.chrome_trace):
+        if path is not None:
+            check_path(path)
+            written.append(path)
     check_different(request.scene, written)
 
 

@@ -42,8 +42,9 @@ class Gauges:
         return state
 
     def __iter__(self) -> Iterator[NodeState]:
-        """The states, x fastest."""
-        yield from (self._states[node] for node in sorted(self._states, key=lambda node: node[::-1]))
+        """The states, x fastest. Another thread may take samples meanwhile."""
+        nodes = tuple(self._states)
+        yield from (self._states[node] for node in sorted(nodes, key=lambda node: node[::-1]))
 
     def __len__(self) -> int:
         return len(self._states)
@@ -53,7 +54,7 @@ class Gauges:
         return self._states.get(node)
 
     def totals(self) -> dict[str, float]:
-        """Sums over the nodes; `phase_nodes` is not among them (see `phase`)."""
+        """Sums over the nodes."""
         states = list(self)
         samples = [state.sample for state in states]
         total: dict[str, float] = {
@@ -90,6 +91,4 @@ def sample_record(state: NodeState) -> dict[str, Any]:
     """A sample as a map ready for JSON, with what it says together with the one before it."""
     record = asdict(state.sample)
     record["node"] = list(state.sample.node)
-    record["time"] = round(state.sample.time, 6)
-    record["cpu"] = round(state.sample.cpu, 6)
     return {**record, "busy": round(state.busy, 4), "rate": round(state.rate, 1)}

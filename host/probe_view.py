@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 MOST_ROWS = 16  # of the table: the busiest nodes
-SHADES = " .:-=+*#%@"  # from idle to busy; colours are added where there are any
+SHADES = ".:-=+*#%@"  # from idle to busy; colours are added where there are any
 COLOURS = ("grey30", "blue", "cyan", "green", "yellow", "dark_orange", "red")
 LEGEND = "busy: share of a processor's wall time, 0 to 1"
 
@@ -21,7 +21,7 @@ def view(gauges: Gauges) -> RenderableType:
     from rich.console import Group
     from rich.text import Text
 
-    return Group(Text(summary(gauges)), node_table(gauges), heat_maps(gauges), Text(f"{LEGEND}; {SHADES!r}", "dim"))
+    return Group(Text(summary(gauges)), node_table(gauges), heat_maps(gauges), Text(f"{LEGEND} ({SHADES})", "dim"))
 
 
 def summary(gauges: Gauges) -> str:
@@ -38,8 +38,8 @@ def node_table(gauges: Gauges) -> RenderableType:
     """The busiest nodes, in order of their places."""
     from rich.table import Table
 
-    table = Table(box=None, pad_edge=False)
-    for name in ("node", "phase", "busy", "packets/s", "returns", "shadows", "rays", "to send", "surfaces", "resident"):
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
+    for name in ("node", "phase", "busy", "packets/s", "returns", "shadows", "rays", "unsent", "surfaces", "memory"):
         table.add_column(name, justify="left" if name in ("node", "phase") else "right", no_wrap=True)
     busiest = sorted(gauges, key=lambda state: (-state.busy, state.sample.node[::-1]))[:MOST_ROWS]
     for state in sorted(busiest, key=lambda state: state.sample.node[::-1]):

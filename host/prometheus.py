@@ -39,7 +39,9 @@ class Endpoint:
         try:
             from prometheus_client import CollectorRegistry, start_http_server
         except ImportError:
-            raise ArrayError("the Prometheus endpoint needs the library prometheus_client: raygrid[prometheus]") from None
+            raise ArrayError(
+                "the Prometheus endpoint needs the library prometheus_client: raygrid[prometheus]"
+            ) from None
         self._gauges = gauges
         registry = CollectorRegistry(auto_describe=False)
         registry.register(self)

@@ -13,6 +13,7 @@ from .errors import ProtocolError
 from .line import Line
 from .link import Link, State
 from .pair import Pair
+from .probe import Probe, read_rate
 from .processor import Processor
 from .reset import read_reset
 from .walk import HOST, OPPOSITE
@@ -37,23 +38,26 @@ def run(config: dict[str, Any], life: int, line: int) -> None:
     gc.set_threshold(50_000, 50, 50)  # a turn makes no cycles; the default would look for them every few turns
     context: zmq.Context[Any] = zmq.Context(io_threads=1)
     to_host = Line(line)
+    probe = Probe(to_host)
     try:
         next_epoch: dict[str, Any] | None = config
         while next_epoch is not None:
-            next_epoch = _live(next_epoch, context, life, to_host)
+            next_epoch = _live(next_epoch, context, life, to_host, probe)
     finally:
         to_host.close()
         context.destroy(linger=0)
 
 
-def _live(config: dict[str, Any], context: zmq.Context[Any], life: int, line: Line) -> dict[str, Any] | None:
+def _live(
+    config: dict[str, Any], context: zmq.Context[Any], life: int, line: Line, probe: Probe
+) -> dict[str, Any] | None:
     """One epoch. Returns the config of the next one, None if there is none."""
     pairs: dict[int, Pair] = {}
     try:
         for link in config["links"]:
             pairs[link["port"]] = Pair(context, link["endpoint"], link["bind"])
         line.send({"is": "reset", "epoch": config["epoch"]})
-        return _serve(config, pairs, life, line)
+        return _serve(config, pairs, life, line, probe)
     except ProtocolError as error:
         line.send({"is": "broken", "epoch": config["epoch"], "why": str(error)[:LONGEST_WHY]})
     finally:
@@ -65,15 +69,18 @@ def _live(config: dict[str, Any], context: zmq.Context[Any], life: int, line: Li
     while not line.closed:
         if any(ready == life for ready, _ in poller.poll()):
             return None
-        for order in _orders(line, config):
+        for order in _orders(line, config, probe):
             return order
     return None
 
 
-def _orders(line: Line, config: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """The configs of the resets that have come on the line; what is no order is refused and counted."""
+def _orders(line: Line, config: dict[str, Any], probe: Probe) -> Iterator[dict[str, Any]]:
+    """The configs of the resets that have come on the line; rates of probes are set, what is no order is refused and counted."""
     while (order := line.receive()) is not None:
         try:
+            if order.get("do") == "probe":
+                probe.set_rate(read_rate(order))
+                continue
             if order.get("do") != "reset":
                 raise ProtocolError(f"the words {order.get('do')!r} came on a line, wanted an order")
             yield read_reset(order, config)
@@ -96,7 +103,9 @@ def open_links(config: dict[str, Any], channels: dict[int, Any]) -> dict[int, Li
     return links
 
 
-def _serve(config: dict[str, Any], pairs: dict[int, Pair], life: int, line: Line) -> dict[str, Any] | None:
+def _serve(
+    config: dict[str, Any], pairs: dict[int, Pair], life: int, line: Line, probe: Probe
+) -> dict[str, Any] | None:
     index, shape = tuple(config["index"]), tuple(config["shape"])
     processor = Processor(index, shape, open_links(config, pairs), config["batch"])
     ports = {pair.socket: port for port, pair in pairs.items()}
@@ -106,11 +115,11 @@ def _serve(config: dict[str, Any], pairs: dict[int, Pair], life: int, line: Line
     poller.register(life, zmq.POLLIN)
     poller.register(line.fileno(), zmq.POLLIN)
     while not processor.ended:
-        for ready, _ in poller.poll(_patience(processor)):
+        for ready, _ in poller.poll(_patience(processor, probe)):
             if ready in ports:
                 processor.receive(ports[ready])
                 continue
-            for order in _orders(line, config):
+            for order in _orders(line, config, probe):
                 return order
             if ready == life or line.closed:
                 return None
@@ -120,18 +129,21 @@ def _serve(config: dict[str, Any], pairs: dict[int, Pair], life: int, line: Line
                 if ready in ports:  # the rest is looked at in a moment
                     processor.receive(ports[ready])
         processor.work()
+        if probe.wanted:
+            probe.maybe_speak(processor, config["epoch"])
     poller.unregister(line.fileno())
     _close(processor, poller, ports, life)
     return None
 
 
-def _patience(processor: Processor) -> int | None:
+def _patience(processor: Processor, probe: Probe) -> int | None:
     """Milliseconds to wait for a message; None: until one comes."""
     if processor.busy:
         return 0
     limit = processor.wait_limit()
     if processor.choked:
         limit = CHOKED_SECONDS if limit is None else min(limit, CHOKED_SECONDS)
+    limit = probe.patience(limit)
     return None if limit is None else int(limit * 1000) + 1
 
 

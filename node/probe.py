@@ -4,7 +4,7 @@ A sample only reads. It goes up the line if there is room, and is dropped and co
 
     is        "sample"
     epoch     of the node
-    number    of the sample in this epoch, dropped ones counted too
+    number    of the sample since the process began, dropped ones counted too
     time      seconds of this computer's monotonic clock, which all its processes share
     phase     load, trace, collect or idle: of the last order
     counts    int64 as bytes, the counts of `node.tables` for this frame
@@ -65,11 +65,16 @@ class Probe:
     due   moment of the next sample by `clock`; infinite while nobody wants any
     """
 
-    def __init__(self, line: Speaker, epoch: int, clock: Callable[[], float] = time.monotonic) -> None:
-        self._line, self._epoch, self._clock = line, epoch, clock
+    def __init__(self, line: Speaker, clock: Callable[[], float] = time.monotonic) -> None:
+        self._line, self._clock = line, clock
         self._period = 0.0
         self._number = 0
         self.due = NEVER
+
+    @property
+    def wanted(self) -> bool:
+        """Whether anybody wants samples."""
+        return self._period > 0.0
 
     def set_rate(self, rate: float) -> None:
         """Samples a second from now on, the first one at once; 0: none."""
@@ -83,13 +88,13 @@ class Probe:
         left = max(0.0, self.due - self._clock())
         return left if limit is None else min(limit, left)
 
-    def maybe_speak(self, processor: Processor) -> None:
+    def maybe_speak(self, processor: Processor, epoch: int) -> None:
         """Say a sample if one is due. A node that was busy for longer than a period does not make up for it."""
         now = self._clock()
         if now < self.due:
             return
         self.due = max(self.due + self._period, now)
-        self._line.send(sample(processor, self._epoch, self._number, now, self._line.dropped))
+        self._line.send(sample(processor, epoch, self._number, now, self._line.dropped))
         self._number += 1
 
 

@@ -1,0 +1,83 @@
+"""What probes cost: the same frame with and without, in turns, on one array; and what one sample costs its node.
+
+    python benchmarks/bench_probes.py --scene scenes/tiny.nff --size 1024x1024 --samples 4 --array 2x2x2 --rate 10 --runs 9
+
+Prints the medians of wall seconds of a frame and of processor seconds of all nodes, with and without probes, and the
+least of each, which says most on a computer that does other things too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+
+from raygrid.emulator.array import Array
+from raygrid.emulator.limits import parse_shape
+from raygrid.emulator.memory_array import MemoryArray
+from raygrid.host.job import Job, Settings, make_job
+from raygrid.host.load import load_scene
+from raygrid.host.render import render_job
+from raygrid.node.probe import sample
+
+
+def frames(array: Array, job: Job, rate: float, runs: int) -> dict[float, list[tuple[float, float]]]:
+    """(wall seconds, processor seconds of all nodes) of each frame, by rate, frames of both rates in turn."""
+    found: dict[float, list[tuple[float, float]]] = {0.0: [], rate: []}
+    for run in range(2 * runs + 1):
+        now = (0.0, rate)[run % 2]
+        array.probe(now, lambda _: None)
+        picture = render_job(array.driver, job, loaded=run > 0)
+        seconds = picture.stats["wall_seconds"]
+        if run:  # the first one loads, and warms up
+            busy = sum(node["busy_seconds"] for node in picture.stats["nodes"])
+            found[now].append((seconds["trace"] + seconds["collect"], busy))
+    return found
+
+
+def one_sample(job: Job) -> float:
+    """Microseconds that a node needs to make one sample and pack it."""
+    from raygrid.node.maps import pack_map
+
+    array = MemoryArray(job.space.shape)
+    array.driver.ready()
+    array.driver.load(job.space, job.surfaces)
+    times = []
+    for _ in range(2000):
+        begun = time.perf_counter()
+        pack_map(sample(array.processors[0], 0, 0, 1.0, 0))
+        times.append(time.perf_counter() - begun)
+    return statistics.median(times) * 1e6
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--scene", default="scenes/tiny.nff")
+    parser.add_argument("--size", default="1024x1024")
+    parser.add_argument("--samples", type=int, default=4)
+    parser.add_argument("--array", default="2x2x2")
+    parser.add_argument("--rate", type=float, default=10.0)
+    parser.add_argument("--runs", type=int, default=9)
+    wanted = parser.parse_args()
+    width, height = map(int, wanted.size.split("x"))
+    shape = parse_shape(wanted.array)
+    job = make_job(load_scene(wanted.scene), shape, Settings(size=(width, height), samples=wanted.samples))
+    with Array.launch(shape) as array:
+        found = frames(array, job, wanted.rate, wanted.runs)
+    print(f"{wanted.scene} {wanted.size} x {wanted.samples}, {wanted.array}, {wanted.runs} frames each")
+    for name, column in (("wall seconds of a frame", 0), ("processor seconds of the nodes", 1)):
+        off, on = ([run[column] for run in found[rate]] for rate in (0.0, wanted.rate))
+        for kind, of in (("median", statistics.median), ("least", min)):
+            print(
+                f"{name}, {kind}: {of(off):.3f} without, {of(on):.3f} at {wanted.rate:g} Hz "
+                f"({100.0 * (of(on) / of(off) - 1.0):+.2f} %)"
+            )
+    each = one_sample(job)
+    print(
+        f"one sample: {each:.0f} microseconds of a node; {each * wanted.rate / 1e4:.3f} % of its time at {wanted.rate:g} Hz"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,59 @@
+"""What is done with the samples of probes as they come: recorded, drawn as a trace, counted."""
+
+from __future__ import annotations
+
+from types import TracebackType
+
+from raygrid.emulator.samples import Sample
+from raygrid.host.chrome_trace import ChromeTrace
+from raygrid.host.outputs import check_path
+from raygrid.host.probe_record import Record
+from raygrid.host.probe_sums import Gauges, NodeState
+
+Shape = tuple[int, int, int]
+
+
+class Probing:
+    """Takes samples of one array in. Use as a context manager: at the end, however it ends, the files are written.
+
+    record        path to which samples are added as they come, or None
+    chrome_trace  path of a trace for Perfetto, written at the end, or None
+    gauges        the latest state of every node
+    Raises OutputError, at once if a file can surely not be written.
+    """
+
+    def __init__(self, shape: Shape, rate: float, record: str | None = None, chrome_trace: str | None = None) -> None:
+        self.gauges = Gauges(shape)
+        if chrome_trace is not None:
+            check_path(chrome_trace)
+        self._trace_path = chrome_trace
+        self._trace = None if chrome_trace is None else ChromeTrace(shape)
+        self._record = None if record is None else Record(record, shape, rate)
+
+    def take(self, sample: Sample) -> NodeState:
+        """Take a sample in."""
+        state = self.gauges.take(sample)
+        if self._record is not None:
+            self._record.take(state)
+        if self._trace is not None:
+            self._trace.take(sample)
+        return state
+
+    def close(self) -> None:
+        """Write what is not written yet. May be called twice."""
+        record, self._record = self._record, None
+        trace, self._trace = self._trace, None
+        try:
+            if record is not None:
+                record.close()
+        finally:
+            if trace is not None and self._trace_path is not None:
+                trace.write(self._trace_path)
+
+    def __enter__(self) -> Probing:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
