@@ -54,6 +54,7 @@ class Array:
     restarts  nodes that were forked anew so far
     refused_samples  what came as a sample of a probe and was none
     on_words  called as on_words(index, words) with what a node says on its line, but for its acknowledgements
+    on_wait   called whenever the host waits for the array, four times a second or more; what it raises is passed on
     """
 
     def __init__(
@@ -71,6 +72,7 @@ class Array:
         self._rate = 0.0
         self._on_sample: Callable[[Sample], object] | None = None
         self._on_warming = on_warming
+        self.on_wait: Callable[[], None] | None = None
         self._nursery: Nursery | None = None
         self._crew: Crew | None = None
         self._place: Place | None = None
@@ -243,6 +245,8 @@ class Array:
         """Wait for messages of corners and events of processes, and take them in."""
         if self._lost is not None:
             raise self._lost
+        if self.on_wait is not None and not self._closing:
+            self.on_wait()
         corner_of = {pair.socket: corner for corner, pair in self._pairs.items()}
         found = self._poller.poll(int(seconds * 1000))
         try:

@@ -8,23 +8,14 @@ import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
-from raygrid.emulator.samples import Sample
 from raygrid.host.outputs import write_result
 from raygrid.host.probe_record import record_line, replay
 from raygrid.host.probe_view import view
-from raygrid.host.probing import Probing
+from raygrid.host.probing import Feed, Probing
 
 REDRAW_SECONDS = 0.1
-
-
-class Feed(NamedTuple):
-    """Samples of an array, as they come; None now and then where none came for a while."""
-
-    shape: tuple[int, int, int]
-    rate: float
-    samples: Iterator[Sample | None]
 
 
 @dataclass(frozen=True)
@@ -75,8 +66,9 @@ def _open(request: Request) -> Iterator[Feed]:
         yield Feed(read.shape, read.rate, read.samples)
         return
     from raygrid.host.probe_service import subscribe
+    from raygrid.host.service_files import DEFAULT_NAME
 
-    with subscribe(request.name, request.rate) as feed:
+    with subscribe(request.name or DEFAULT_NAME, request.rate) as feed:
         yield feed
 
 

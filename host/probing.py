@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from types import TracebackType
+from typing import NamedTuple
 
 from raygrid.emulator.samples import Sample
 from raygrid.host.chrome_trace import ChromeTrace
@@ -11,6 +13,14 @@ from raygrid.host.probe_record import Record
 from raygrid.host.probe_sums import Gauges, NodeState
 
 Shape = tuple[int, int, int]
+
+
+class Feed(NamedTuple):
+    """Samples of an array, as they come; None now and then where none came for a while."""
+
+    shape: tuple[int, int, int]
+    rate: float
+    samples: Iterator[Sample | None]
 
 
 class Probing:
