@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 MOST_ROWS = 16  # of the table: the busiest nodes
 SHADES = ".:-=+*#%@"  # from idle to busy; colours are added where there are any
 COLOURS = ("grey30", "blue", "cyan", "green", "yellow", "dark_orange", "red")
-LEGEND = "busy: share of a processor's wall time, 0 to 1"
+LEAST_BUSY = 0.02  # share of a processor below which nobody counts as busy, and maps are empty
 
 
 def view(gauges: Gauges) -> RenderableType:
@@ -21,7 +21,8 @@ def view(gauges: Gauges) -> RenderableType:
     from rich.console import Group
     from rich.text import Text
 
-    return Group(Text(summary(gauges)), node_table(gauges), heat_maps(gauges), Text(f"{LEGEND} ({SHADES})", "dim"))
+    legend = f"busy: part of a processor's wall time; maps: from idle {SHADES[0]} to the busiest {SHADES[-1]} ({_busiest(gauges):.2f})"
+    return Group(Text(summary(gauges)), node_table(gauges), heat_maps(gauges), Text(legend, "dim"))
 
 
 def summary(gauges: Gauges) -> str:
@@ -64,8 +65,12 @@ def _row(state: NodeState) -> tuple[str, ...]:
     )
 
 
+def _busiest(gauges: Gauges) -> float:
+    return max((state.busy for state in gauges), default=0.0)
+
+
 def heat_maps(gauges: Gauges) -> RenderableType:
-    """Busy shares, a map for each layer (z), beside each other; x runs to the right, y upwards."""
+    """Busy nodes against the busiest, a map for each layer (z), beside each other; x runs to the right, y upwards."""
     from rich.columns import Columns
 
     return Columns([_layer(gauges, z) for z in range(gauges.shape[2])], padding=(0, 3))
@@ -75,6 +80,7 @@ def _layer(gauges: Gauges, z: int) -> Text:
     from rich.text import Text
 
     nx, ny, _ = gauges.shape
+    most = max(_busiest(gauges), LEAST_BUSY)
     text = Text(f"z={z}")
     for y in reversed(range(ny)):
         text.append("\n")
@@ -83,8 +89,8 @@ def _layer(gauges: Gauges, z: int) -> Text:
             if state is None:
                 text.append("??")
                 continue
-            shade = SHADES[min(len(SHADES) - 1, int(state.busy * len(SHADES)))]
-            colour = COLOURS[min(len(COLOURS) - 1, int(state.busy * len(COLOURS)))]
+            shade = SHADES[min(len(SHADES) - 1, int(state.busy / most * len(SHADES)))]
+            colour = COLOURS[min(len(COLOURS) - 1, int(state.busy / most * len(COLOURS)))]
             text.append(shade * 2, f"on {colour}")
     return text
 
