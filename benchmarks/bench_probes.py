@@ -2,8 +2,9 @@
 
     python benchmarks/bench_probes.py --scene scenes/tiny.nff --size 1024x1024 --samples 4 --array 2x2x2 --rate 10 --runs 9
 
-Prints the medians of wall seconds of a frame and of processor seconds of all nodes, with and without probes, and the
-least of each, which says most on a computer that does other things too.
+Prints wall seconds of a frame and processor seconds of all nodes and the front end, with and without probes: the least
+of each, and the median of the ratios of frames that followed each other, which says most on a computer that does other
+things too.
 """
 
 from __future__ import annotations
@@ -17,20 +18,23 @@ from raygrid.emulator.limits import parse_shape
 from raygrid.emulator.memory_array import MemoryArray
 from raygrid.host.job import Job, Settings, make_job
 from raygrid.host.load import load_scene
+from raygrid.host.probe_sums import Gauges
 from raygrid.host.render import render_job
 from raygrid.node.probe import sample
 
 
 def frames(array: Array, job: Job, rate: float, runs: int) -> dict[float, list[tuple[float, float]]]:
-    """(wall seconds, processor seconds of all nodes) of each frame, by rate, frames of both rates in turn."""
+    """(wall seconds, processor seconds of nodes and front end) of each frame, by rate, frames of both rates in turn."""
+    gauges = Gauges(array.shape)
     found: dict[float, list[tuple[float, float]]] = {0.0: [], rate: []}
     for run in range(2 * runs + 1):
         now = (0.0, rate)[run % 2]
-        array.probe(now, lambda _: None)
+        array.probe(now, gauges.take)
+        spent = time.process_time()
         picture = render_job(array.driver, job, loaded=run > 0)
         seconds = picture.stats["wall_seconds"]
         if run:  # the first one loads, and warms up
-            busy = sum(node["busy_seconds"] for node in picture.stats["nodes"])
+            busy = sum(node["busy_seconds"] for node in picture.stats["nodes"]) + time.process_time() - spent
             found[now].append((seconds["trace"] + seconds["collect"], busy))
     return found
 
@@ -66,13 +70,13 @@ def main() -> None:
     with Array.launch(shape) as array:
         found = frames(array, job, wanted.rate, wanted.runs)
     print(f"{wanted.scene} {wanted.size} x {wanted.samples}, {wanted.array}, {wanted.runs} frames each")
-    for name, column in (("wall seconds of a frame", 0), ("processor seconds of the nodes", 1)):
+    for name, column in (("wall seconds of a frame", 0), ("processor seconds of nodes and front end", 1)):
         off, on = ([run[column] for run in found[rate]] for rate in (0.0, wanted.rate))
-        for kind, of in (("median", statistics.median), ("least", min)):
-            print(
-                f"{name}, {kind}: {of(off):.3f} without, {of(on):.3f} at {wanted.rate:g} Hz "
-                f"({100.0 * (of(on) / of(off) - 1.0):+.2f} %)"
-            )
+        ratio = statistics.median(one / other for one, other in zip(on, off, strict=True)) - 1.0
+        print(
+            f"{name}: at least {min(off):.3f} without, {min(on):.3f} at {wanted.rate:g} Hz "
+            f"({100.0 * (min(on) / min(off) - 1.0):+.2f} %); median of ratios {100.0 * ratio:+.2f} %"
+        )
     each = one_sample(job)
     print(
         f"one sample: {each:.0f} microseconds of a node; {each * wanted.rate / 1e4:.3f} % of its time at {wanted.rate:g} Hz"

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.node.births import DONE, bear_primaries, bear_primary
+from raygrid.node.errors import TooLarge
 from raygrid.node.hierarchy import DEPTH
 from raygrid.node.lattice import Space
 from raygrid.node.orders import frame_order
@@ -23,9 +24,11 @@ from raygrid.node.surfaces import SurfaceSet
 from raygrid.node.tables import COUNTS, Frame
 from raygrid.node.tracer import Tracer
 
+from .limits import read_resources
 from .memory_array import MemoryArray
 from .topology import Index
 
+NODE_BYTES = 800_000  # of a node in memory, without surfaces (measured)
 Units = tuple[int, int, int]
 
 
@@ -45,10 +48,16 @@ class SingleStep:
 
     space, surfaces, frame   machine coordinates, as of `Driver.load` and `Driver.trace`
     nodes                    by place, x fastest
-    Raises ArrayError if the array cannot be loaded.
+    Raises TooLarge for an array that this computer has no memory for, ArrayError if it cannot be loaded.
     """
 
     def __init__(self, space: Space, surfaces: SurfaceSet, frame: Frame) -> None:
+        need, there = math.prod(space.shape) * NODE_BYTES, read_resources().memory
+        if need > there.left:
+            raise TooLarge(
+                f"an array of {'x'.join(map(str, space.shape))} in one process needs {need / 1e9:.1f} GB of memory, "
+                f"and {there.limit} leaves {max(there.left, 0) / 1e9:.1f} GB"
+            )
         array = MemoryArray(space.shape)
         array.driver.patience = math.inf  # nothing can get lost in memory, and a large hierarchy takes its time
         array.driver.ready()

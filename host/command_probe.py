@@ -52,6 +52,7 @@ def run_probe(request: Request) -> None:
         for sample in feed.samples:
             if sample is not None:
                 state = probing.take(sample)
+                probing.check()
                 if request.as_json:
                     write_result(record_line(state))
             screen.maybe_draw()

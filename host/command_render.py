@@ -21,6 +21,7 @@ from raygrid.host.progress import Talk
 if TYPE_CHECKING:
     from raygrid.host.job import Job
     from raygrid.host.picture import Picture
+    from raygrid.host.probing import Probing
 
 
 @dataclass(frozen=True)
@@ -55,8 +56,8 @@ def run_render(request: Request) -> None:
     begun = time.perf_counter()
     check_name(request.scene)
     _check_outputs(request)
-    with Talk(request.quiet) as talk:
-        picture = _render(request, talk, begun)
+    with Talk(request.quiet) as talk, _probing(request) as probing:
+        picture = _render(request, talk, begun, probing)
         for output in request.outputs:
             talk.phase(f"writing {output}")
             picture.save(output, request.transfer)
@@ -74,7 +75,7 @@ def run_render(request: Request) -> None:
         write_result(output)
 
 
-def _render(request: Request, talk: Talk, begun: float) -> Picture:
+def _render(request: Request, talk: Talk, begun: float, probing: Probing | None) -> Picture:
     shape = request.shape
     with Array(shape, batch=request.batch, patience=request.patience, on_warming=talk.warming) as array:
         array.begin()
@@ -89,22 +90,21 @@ def _render(request: Request, talk: Talk, begun: float) -> Picture:
         from raygrid.host.steady import render_steadily
 
         talk.expect(samples_expected(job))
-        with _probing(request, array):
-            picture = render_steadily(array, job, request.budget, talk.watch, on_fault=talk.fault)
+        if probing is not None:
+            array.probe(request.probe_rate, probing.take)
+        picture = render_steadily(array, job, request.budget, talk.watch, on_fault=talk.fault)
         picture.stats["wall_seconds"] |= {"read": round(read - begun, 6), "launch": round(ready - read, 6)}
         talk.phase("ending the processors")
     return picture
 
 
-def _probing(request: Request, array: Array) -> AbstractContextManager[Any]:
-    """Probes, if they are asked for."""
+def _probing(request: Request) -> AbstractContextManager[Probing | None]:
+    """Takes what probes tell, if that is asked for; outside of the array, so that its troubles cost no picture."""
     if request.probe_record is None and request.chrome_trace is None:
         return contextlib.nullcontext()
     from raygrid.host.probing import Probing
 
-    probing = Probing(request.shape, request.probe_rate, request.probe_record, request.chrome_trace)
-    array.probe(request.probe_rate, probing.take)
-    return probing
+    return Probing(request.shape, request.probe_rate, request.probe_record, request.chrome_trace)
 
 
 def _read_job(request: Request, talk: Talk, wait_warm: Callable[[], None]) -> Job:

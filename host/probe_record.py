@@ -44,7 +44,7 @@ class Record:
         check_path(path)
         self._path = path
         try:
-            self._file: IO[str] | None = open(path, "w", encoding="utf-8")  # noqa: SIM115  (closed by `close`)
+            self._file: IO[str] | None = open(path, "w", buffering=1, encoding="utf-8")  # noqa: SIM115  (closed by `close`)
         except OSError as error:
             raise OutputError(f"{path}: the file cannot be written ({error.strerror})") from None
         self._write(json.dumps(header(shape, rate)))

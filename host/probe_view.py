@@ -21,7 +21,8 @@ def view(gauges: Gauges) -> RenderableType:
     from rich.console import Group
     from rich.text import Text
 
-    legend = f"busy: part of a processor's wall time; maps: from idle {SHADES[0]} to the busiest {SHADES[-1]} ({_busiest(gauges):.2f})"
+    busiest = f"{SHADES[-1]} ({_busiest(gauges):.2f})"
+    legend = f"busy: part of a processor's wall time; maps: from idle {SHADES[0]} to the busiest {busiest}"
     return Group(Text(summary(gauges)), node_table(gauges), heat_maps(gauges), Text(legend, "dim"))
 
 

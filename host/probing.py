@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator
 from types import TracebackType
 from typing import NamedTuple
@@ -11,6 +12,7 @@ from raygrid.host.chrome_trace import ChromeTrace
 from raygrid.host.outputs import check_path
 from raygrid.host.probe_record import Record
 from raygrid.host.probe_sums import Gauges, NodeState
+from raygrid.node.errors import OutputError
 
 Shape = tuple[int, int, int]
 
@@ -29,11 +31,13 @@ class Probing:
     record        path to which samples are added as they come, or None
     chrome_trace  path of a trace for Perfetto, written at the end, or None
     gauges        the latest state of every node
-    Raises OutputError, at once if a file can surely not be written.
+    Raises OutputError, at once if a file can surely not be written. A file that cannot be written later, as the disk is
+    full, is no reason to give a frame up: what comes is taken on, and `check` and `close` raise.
     """
 
     def __init__(self, shape: Shape, rate: float, record: str | None = None, chrome_trace: str | None = None) -> None:
         self.gauges = Gauges(shape)
+        self._trouble: OutputError | None = None
         if chrome_trace is not None:
             check_path(chrome_trace)
         self._trace_path = chrome_trace
@@ -43,14 +47,22 @@ class Probing:
     def take(self, sample: Sample) -> NodeState:
         """Take a sample in."""
         state = self.gauges.take(sample)
-        if self._record is not None:
-            self._record.take(state)
+        if self._record is not None and self._trouble is None:
+            try:
+                self._record.take(state)
+            except OutputError as error:
+                self._trouble = error
         if self._trace is not None:
             self._trace.take(sample)
         return state
 
+    def check(self) -> None:
+        """Raise OutputError if what has come could not be written."""
+        if self._trouble is not None:
+            raise self._trouble
+
     def close(self) -> None:
-        """Write what is not written yet. May be called twice."""
+        """Write what is not written yet. May be called twice. Raises OutputError."""
         record, self._record = self._record, None
         trace, self._trace = self._trace, None
         try:
@@ -59,6 +71,9 @@ class Probing:
         finally:
             if trace is not None and self._trace_path is not None:
                 trace.write(self._trace_path)
+        trouble, self._trouble = self._trouble, None
+        if trouble is not None:
+            raise trouble
 
     def __enter__(self) -> Probing:
         return self
@@ -66,4 +81,5 @@ class Probing:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        with contextlib.suppress(*() if error is None else (OutputError,)):  # what went wrong first is what is told
+            self.close()

@@ -342,13 +342,29 @@ def test_a_recording_that_cannot_be_read_or_written(tmp_path):
         replay(str(tmp_path / "none"))
     with pytest.raises(OutputError, match="there is no directory"):
         Record(str(tmp_path / "no" / "r"), (1, 1, 1), 10.0)
-    record = Record("/dev/full", (1, 1, 1), 10.0)
-    state = Gauges((1, 1, 1)).take(made())
     with pytest.raises(OutputError, match="/dev/full: the file cannot be written"):
-        for _ in range(1000):
-            record.take(state)
-    record.take(state)  # it has given up
-    record.close()
+        Record("/dev/full", (1, 1, 1), 10.0)
+
+
+def test_a_disk_that_fills_up_loses_the_recording_and_no_more(tmp_path, monkeypatch):
+    trace = tmp_path / "t.json"
+    probing = Probing((1, 1, 1), 10.0, str(tmp_path / "r.jsonl"), str(trace))
+    probing.take(made(time=1.0))
+    probing.check()
+
+    def full(state):
+        raise OutputError("r.jsonl: the file cannot be written (No space left on device)")
+
+    monkeypatch.setattr(probing._record, "take", full)
+    probing.take(made(time=2.0))
+    probing.take(made(time=3.0))  # goes on
+    with pytest.raises(OutputError, match="No space left"):
+        probing.check()
+    assert probing.gauges.samples == 3
+    with pytest.raises(OutputError, match="No space left"):
+        probing.close()
+    assert json.loads(trace.read_text())["traceEvents"]
+    assert len(list(replay(str(tmp_path / "r.jsonl")).samples)) == 1
 
 
 # --- Prometheus --------------------------------------------------------------------------------------

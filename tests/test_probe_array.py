@@ -15,6 +15,7 @@ from support_cli import TINY, as_process, here, one_line
 from support_processes import no_leftovers, wait_dead
 from support_render import rendered
 
+import raygrid
 from raygrid.emulator.array import Array
 from raygrid.emulator.samples import Sample
 from raygrid.emulator.topology import indices
@@ -121,6 +122,14 @@ def test_words_that_are_no_sample_are_counted(array):
 def test_a_rate_that_cannot_be(array):
     with pytest.raises(ProtocolError, match="a rate of probes came as 1000, wanted 0 to 100"):
         array.probe(1000, print)
+
+
+def test_a_machine_probes_while_it_renders():
+    heard: list[Sample] = []
+    with raygrid.launch(SHAPE) as machine:
+        machine.probe(50.0, heard.append)
+        machine.render(TINY, size=(200, 150))
+    assert {sample.node for sample in heard} == set(indices(SHAPE))
 
 
 # --- the command -----------------------------------------------------------------------------------

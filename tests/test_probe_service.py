@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from support_cli import RAYGRID, TINY, TIMEOUT, here, one_line
+from support_cli import RAYGRID, TIMEOUT, TINY, here, one_line
 from support_service import SIZE, end, lasting, on, sums, up
 from support_terminal import HIDE, SHOW, Terminal
 
@@ -154,5 +154,3 @@ def test_an_array_that_ends_ends_the_command_with_one_line(tmp_path, monkeypatch
 def test_no_such_array(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     one_line(here("probe", "--name", "none"), 1, r"raygrid: no array named 'none' runs.*")
-
-

@@ -231,6 +231,14 @@ def test_a_tree_without_end_is_refused():
             found.pixel(24, y)
 
 
+def test_an_array_too_large_for_memory_is_refused_before_the_work():
+    one_line(
+        here("trace", TINY, "--pixel", "0,0", "--array", "200x200x200", "--split", "uniform"),
+        1,
+        r"raygrid: an array of 200x200x200 in one process needs 6400\.0 GB of memory, and .* leaves .* GB",
+    )
+
+
 def test_a_step_and_a_look_that_disagree_are_an_error(monkeypatch):
     job = job_of(TINY, ONE, size=(13, 11))
     real = provenance.look
