@@ -22,11 +22,18 @@ from raygrid.host.probe_sums import Gauges
 from raygrid.host.render import render_job
 from raygrid.node.probe import sample
 
+COLUMNS = (
+    "wall seconds of a frame",
+    "processor seconds of the nodes",
+    "processor seconds of the front end",
+    "both together",
+)
 
-def frames(array: Array, job: Job, rate: float, runs: int) -> dict[float, list[tuple[float, float]]]:
-    """(wall seconds, processor seconds of nodes and front end) of each frame, by rate, frames of both rates in turn."""
+
+def frames(array: Array, job: Job, rate: float, runs: int) -> dict[float, list[tuple[float, ...]]]:
+    """The figures of COLUMNS of each frame, by rate, frames of both rates in turn."""
     gauges = Gauges(array.shape)
-    found: dict[float, list[tuple[float, float]]] = {0.0: [], rate: []}
+    found: dict[float, list[tuple[float, ...]]] = {0.0: [], rate: []}
     for run in range(2 * runs + 1):
         now = (0.0, rate)[run % 2]
         array.probe(now, gauges.take)
@@ -34,8 +41,9 @@ def frames(array: Array, job: Job, rate: float, runs: int) -> dict[float, list[t
         picture = render_job(array.driver, job, loaded=run > 0)
         seconds = picture.stats["wall_seconds"]
         if run:  # the first one loads, and warms up
-            busy = sum(node["busy_seconds"] for node in picture.stats["nodes"]) + time.process_time() - spent
-            found[now].append((seconds["trace"] + seconds["collect"], busy))
+            front = time.process_time() - spent
+            busy = sum(node["busy_seconds"] for node in picture.stats["nodes"])
+            found[now].append((seconds["trace"] + seconds["collect"], busy, front, busy + front))
     return found
 
 
@@ -70,7 +78,7 @@ def main() -> None:
     with Array.launch(shape) as array:
         found = frames(array, job, wanted.rate, wanted.runs)
     print(f"{wanted.scene} {wanted.size} x {wanted.samples}, {wanted.array}, {wanted.runs} frames each")
-    for name, column in (("wall seconds of a frame", 0), ("processor seconds of nodes and front end", 1)):
+    for column, name in enumerate(COLUMNS):
         off, on = ([run[column] for run in found[rate]] for rate in (0.0, wanted.rate))
         ratio = statistics.median(one / other for one, other in zip(on, off, strict=True)) - 1.0
         print(
