@@ -27,6 +27,7 @@ from .limits import check_fits
 from .places import LAST_EPOCH, Index, Place, host_endpoint
 
 if TYPE_CHECKING:
+    from raygrid.node.faulty import FaultPlan
     from raygrid.node.pair import Pair
 
     from .crew import Crew, NodeState
@@ -39,6 +40,7 @@ TRIES = 3  # epochs that are begun before an array counts as one that cannot be
 WARM_SECONDS = 300.0  # a first run compiles; nothing takes longer than this on a slow machine
 READY_SECONDS, READY_SECONDS_A_NODE = 10.0, 0.05  # for the links to come up; longer, and somebody else took one
 END_SECONDS = 5.0
+FAULT_PATIENCE = 3.0  # seconds: with faults on purpose a message that never comes is the likely reason of silence
 LOOK_SECONDS = 0.25  # how often the states of silent processes are looked at
 STOPPED_SECONDS = 0.75  # a node that is stopped (SIGSTOP) for longer than this is lost
 FAULTS = (LostProcess, Stuck, ProtocolError)
@@ -53,6 +55,8 @@ class Array:
     epoch     number of resets so far; -1 before the array was ready
     restarts  nodes that were forked anew so far
     refused_samples  what came as a sample of a probe and was none
+    fault     what goes wrong on purpose on links between neighbours, for experiments; patience is FAULT_PATIENCE then
+    injected  messages that were hit by it so far
     on_words  called as on_words(index, words) with what a node says on its line, but for its acknowledgements
     on_wait   called whenever the host waits for the array, four times a second or more; what it raises is passed on
     """
@@ -63,9 +67,13 @@ class Array:
         batch: int = BATCH,
         patience: float | None = None,
         on_warming: Callable[[int, int, str], None] | None = None,
+        fault: FaultPlan | None = None,
     ) -> None:
         check_fits(shape)
-        self.shape, self.batch, self.patience = shape, batch, patience
+        if fault is not None:
+            patience = min(FAULT_PATIENCE, FAULT_PATIENCE if patience is None else patience)
+        self.shape, self.batch, self.patience, self.fault = shape, batch, patience, fault
+        self.injected = 0
         self.epoch, self.restarts = -1, 0
         self.on_words: Callable[[Index, Words], None] | None = None
         self.refused_samples = 0
@@ -169,6 +177,8 @@ class Array:
             except FAULTS:
                 if left == 0 or self._nursery is None or not self._nursery.alive:
                     raise
+            except (OSError, zmq.ZMQError) as error:
+                raise ArrayError(f"the links of the array cannot be opened: {error.strerror}") from error
 
     def _begin_epoch(self) -> None:
         """Drop the links, bring all nodes to the next epoch, and wait until all links are up."""
@@ -192,7 +202,8 @@ class Array:
             pair = Pair(self._context, host_endpoint(self._place.path, self.epoch, index), bind=True)
             self._pairs[corner] = pair
             self._poller.register(pair.socket, zmq.POLLIN)
-        forked = self._crew.begin(node_configs(self.shape, self._place.path, self.epoch, machine, batch=self.batch))
+        told = {"batch": self.batch, "fault": self.fault}
+        forked = self._crew.begin(node_configs(self.shape, self._place.path, self.epoch, machine, **told))
         self.restarts += 0 if first else forked
         for descriptor in self._crew.filenos():
             self._poller.register(descriptor, zmq.POLLIN)
@@ -277,6 +288,8 @@ class Array:
                     raise ProtocolError(f"node {_name(event.index)} (pid {pid}): {event.words.get('why')}")
             elif event.words.get("is") == "sample":
                 self._take_sample(event.index, event.words)
+            elif event.words.get("is") == "injected":
+                self.injected += 1
             elif event.words.get("is") != "reset" and self.on_words is not None:
                 self.on_words(event.index, event.words)
 

@@ -19,7 +19,7 @@ import click
 
 from raygrid.host.cli_inspect import add_commands as _add_inspect_commands
 from raygrid.host.cli_service import add_commands as _add_service_commands
-from raygrid.host.cli_types import Number, Pair, Shape
+from raygrid.host.cli_types import Fault, Number, Pair, Shape
 
 DEBUG = "RAYGRID_DEBUG"
 
@@ -97,6 +97,11 @@ def cli() -> None:
               help="How often a node tells how it stands, if anybody asks.")
 @click.option("--patience", type=Number(0.1, 1e9), default=30.0, show_default=True, metavar="SECONDS",
               help="Time without any progress after which the array is taken to hang.")
+@click.option("--attempts", type=Number(1, 1000), default=4, show_default=True, metavar="N",
+              help="How often to try when processors are lost or links break; the picture is the same.")
+@click.option("--fault", type=Fault(), metavar="KIND[:RATE[:SEED]]",
+              help="For experiments: links between neighbours drop, double, reorder, delay, corrupt or truncate this part "
+                   "of their messages.  [default rate: 0.0001]")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors. (Without a terminal there is hardly any.)")
 @_debug_option
 def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **options: Any) -> None:
@@ -106,7 +111,8 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
     """
     from raygrid.host.command_render import Request, default_outputs, run_render
 
-    names = ("batch", "budget", "transfer", "stats", "patience", "quiet", "probe_record", "chrome_trace", "probe_rate")
+    of_machine = ("batch", "budget", "transfer", "stats", "patience", "attempts", "fault", "quiet")
+    names = (*of_machine, "probe_record", "chrome_trace", "probe_rate")
     machine = {name: options.pop(name) for name in names}
     run_render(Request(scene, shape, outputs or default_outputs(scene), **machine, settings=options))
 

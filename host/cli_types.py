@@ -61,6 +61,21 @@ class Shape(AnyType):
             self.fail(str(error), param, ctx)
 
 
+class Fault(AnyType):
+    """A fault for experiments, `drop:0.001:7`."""
+
+    name = "fault"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Raises a usage error for anything that `parse_fault` refuses."""
+        from raygrid.node.faulty import parse_fault
+
+        try:
+            return parse_fault(str(value))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
 class Number(AnyType):
     """A number from `least` to `most`; whole if `least` is."""
 

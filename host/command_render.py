@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from raygrid.host.job import Job
     from raygrid.host.picture import Picture
     from raygrid.host.probing import Probing
+    from raygrid.node.faulty import FaultPlan
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,8 @@ class Request:
     transfer: str
     stats: str | None
     patience: float
+    attempts: int
+    fault: FaultPlan | None
     quiet: bool
     settings: dict[str, Any]
     probe_record: str | None = None
@@ -77,7 +80,9 @@ def run_render(request: Request) -> None:
 
 def _render(request: Request, talk: Talk, begun: float, probing: Probing | None) -> Picture:
     shape = request.shape
-    with Array(shape, batch=request.batch, patience=request.patience, on_warming=talk.warming) as array:
+    with Array(
+        shape, batch=request.batch, patience=request.patience, on_warming=talk.warming, fault=request.fault
+    ) as array:
         array.begin()
         talk.phase(f"reading {request.scene}")
         job = _read_job(request, talk, array.wait_warm)
@@ -92,7 +97,9 @@ def _render(request: Request, talk: Talk, begun: float, probing: Probing | None)
         talk.expect(samples_expected(job))
         if probing is not None:
             array.probe(request.probe_rate, probing.take)
-        picture = render_steadily(array, job, request.budget, talk.watch, on_fault=talk.fault)
+        picture = render_steadily(
+            array, job, request.budget, talk.watch, attempts=request.attempts, on_fault=talk.fault
+        )
         picture.stats["wall_seconds"] |= {"read": round(read - begun, 6), "launch": round(ready - read, 6)}
         talk.phase("ending the processors")
     return picture

@@ -78,6 +78,7 @@ def render_steadily(
                 on_fault(faults[-1])
             continue
         picture.stats["faults"] = [asdict(fault) for fault in faults]
+        picture.stats["injected"] = array.injected
         return picture
 
 

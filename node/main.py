@@ -10,8 +10,9 @@ from typing import Any
 import zmq
 
 from .errors import ProtocolError
+from .faulty import FaultPlan, Faulty, tend
 from .line import Line
-from .link import Link, State
+from .link import Channel, Link, State
 from .pair import Pair
 from .probe import Probe, read_rate
 from .processor import Processor
@@ -28,7 +29,7 @@ def run(config: dict[str, Any], life: int, line: int) -> None:
     """Be one node until the order `end`, or until the pipe `life` closes because the launcher is gone.
 
     config  index [x, y, z], shape, epoch, machine (name of the array), batch (most packets a message), and
-            links: a list of {port, endpoint, bind}
+            links: a list of {port, endpoint, bind}; and fault, (kind, rate, seed) of `node.faulty`, if it is wanted
     line    descriptor of the node's end of the line to the host (`node.line`)
 
     A reset order on the line ends an epoch, whatever its state: links, packets, surfaces and pixels are dropped, and
@@ -57,7 +58,7 @@ def _live(
         for link in config["links"]:
             pairs[link["port"]] = Pair(context, link["endpoint"], link["bind"])
         line.send({"is": "reset", "epoch": config["epoch"]})
-        return _serve(config, pairs, life, line, probe)
+        return _serve(config, pairs, _with_faults(config, pairs, line), life, line, probe)
     except ProtocolError as error:
         line.send({"is": "broken", "epoch": config["epoch"], "why": str(error)[:LONGEST_WHY]})
     finally:
@@ -103,11 +104,27 @@ def open_links(config: dict[str, Any], channels: dict[int, Any]) -> dict[int, Li
     return links
 
 
+def _with_faults(config: dict[str, Any], pairs: dict[int, Pair], line: Line) -> dict[int, Channel]:
+    """The channels of a node: its pairs, those to neighbours with the faults that an experiment asks for."""
+    channels: dict[int, Channel] = dict(pairs)
+    if config.get("fault") is not None:
+        for port in channels.keys() - {HOST}:
+            key = (*config["index"], port, config["epoch"])
+            channels[port] = Faulty(channels[port], FaultPlan(*config["fault"]), key, line.send)
+    return channels
+
+
 def _serve(
-    config: dict[str, Any], pairs: dict[int, Pair], life: int, line: Line, probe: Probe
+    config: dict[str, Any],
+    pairs: dict[int, Pair],
+    channels: dict[int, Channel],
+    life: int,
+    line: Line,
+    probe: Probe,
 ) -> dict[str, Any] | None:
     index, shape = tuple(config["index"]), tuple(config["shape"])
-    processor = Processor(index, shape, open_links(config, pairs), config["batch"])
+    processor = Processor(index, shape, open_links(config, channels), config["batch"])
+    faults = [channel for channel in channels.values() if isinstance(channel, Faulty)]
     ports = {pair.socket: port for port, pair in pairs.items()}
     poller = zmq.Poller()
     for socket in ports:
@@ -115,7 +132,8 @@ def _serve(
     poller.register(life, zmq.POLLIN)
     poller.register(line.fileno(), zmq.POLLIN)
     while not processor.ended:
-        for ready, _ in poller.poll(_patience(processor, probe)):
+        patience = _patience(processor, probe)
+        for ready, _ in poller.poll(tend(faults, patience) if faults else patience):
             if ready in ports:
                 processor.receive(ports[ready])
                 continue

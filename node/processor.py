@@ -146,8 +146,9 @@ class Processor:
         link.grant()
         if self._halted:
             return
-        if self.tracer.limits is None:
-            self._refuse(f"link {link.name}: packets came before a frame")
+        if self.tracer.limits is None or port == HOST:
+            why = "from the host, which sends none" if port == HOST else "before a frame"
+            self._refuse(f"link {link.name}: packets came {why}")
             return
         try:
             check_packets(arrival.message, arrival.items)
