@@ -20,7 +20,7 @@ from raygrid.host.job import Job, Settings, make_job
 from raygrid.host.load import load_scene
 from raygrid.host.probe_sums import Gauges
 from raygrid.host.render import render_job
-from raygrid.node.probe import sample
+from raygrid.node.probe import memory, sample
 
 COLUMNS = (
     "wall seconds of a frame",
@@ -54,10 +54,10 @@ def one_sample(job: Job) -> float:
     array = MemoryArray(job.space.shape)
     array.driver.ready()
     array.driver.load(job.space, job.surfaces)
-    times = []
+    times, used = [], memory(array.processors[0])
     for _ in range(2000):
         begun = time.perf_counter()
-        pack_map(sample(array.processors[0], 0, 0, 1.0, 0))
+        pack_map(sample(array.processors[0], 0, 0, 1.0, 0, used))
         times.append(time.perf_counter() - begun)
     return statistics.median(times) * 1e6
 

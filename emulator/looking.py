@@ -24,7 +24,7 @@ def begin(space, frame, sample):
     """(whether the eye's ray of a sample enters the world box, the sample's home, the ray's direction)."""
     x, y = image_point(sample, frame.width, frame.samples)
     origin, direction = eye_ray(frame.camera, x, y)
-    enters, point = entry(space.step, origin, direction)
+    enters, point, _ = entry(space.step, origin, direction)
     return enters, home(space, point), direction
 
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
+import struct
 from dataclasses import dataclass
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from raygrid.node.errors import ProtocolError
 from raygrid.node.packets import KINDS, PacketKind
@@ -23,6 +21,7 @@ KIND_NAMES = {int(kind): kind.name.lower() for kind in PacketKind}
 QUEUES = ("travellers", "shadows", "rays")
 MEMORY = ("surfaces", "pixels", "backlog", "outputs", "resident")
 MOST = 1 << 62
+COUNTERS = struct.Struct(f"<{COUNTS}q")
 
 
 @dataclass(frozen=True)
@@ -88,7 +87,6 @@ def read_sample(node: Index, words: dict[str, Any]) -> Sample:
     """A sample of what a node said on its line. Raises ProtocolError unless it is one."""
     try:
         counts = _counts(words["counts"])
-        waiting = np.array(_whole_numbers(words["waiting"], ARRIVALS * KINDS)).reshape(ARRIVALS, KINDS)
         phase = words["phase"]
         if phase not in PHASES:
             raise ValueError(f"phase {phase!r}")
@@ -98,13 +96,13 @@ def read_sample(node: Index, words: dict[str, Any]) -> Sample:
             number=_whole(words["number"]),
             time=_seconds(words["time"]),
             phase=phase,
-            born={name: int(counts[BORN + kind]) for kind, name in KIND_NAMES.items()},
-            died={name: int(counts[DIED + kind]) for kind, name in KIND_NAMES.items()},
-            sent={PORTS[port]: int(counts[SENT + port]) for port in range(HOST + 1)},
-            walks=int(counts[WALKS]),
-            hits=int(counts[HITS]),
+            born={name: counts[BORN + kind] for kind, name in KIND_NAMES.items()},
+            died={name: counts[DIED + kind] for kind, name in KIND_NAMES.items()},
+            sent={PORTS[port]: counts[SENT + port] for port in range(HOST + 1)},
+            walks=counts[WALKS],
+            hits=counts[HITS],
             queues=dict(zip(QUEUES, _whole_numbers(words["queues"], len(QUEUES)), strict=True)),
-            waiting=_by_port_and_kind(waiting),
+            waiting=_by_port_and_kind(words["waiting"]),
             outputs=dict(zip(PORTS, _whole_numbers(words["outputs"], HOST + 1), strict=False)),
             links=_links(words["links"]),
             surfaces=_whole(words["surfaces"]),
@@ -116,13 +114,13 @@ def read_sample(node: Index, words: dict[str, Any]) -> Sample:
         raise ProtocolError(f"node {','.join(map(str, node))} said a sample that is none: {error}") from None
 
 
-def _counts(raw: Any) -> NDArray[np.int64]:
-    if not isinstance(raw, bytes) or len(raw) != 8 * COUNTS:
+def _counts(raw: Any) -> tuple[int, ...]:
+    if not isinstance(raw, bytes) or len(raw) != COUNTERS.size:
         raise ValueError("counts of another length")
-    counts = np.frombuffer(raw, "<i8")
-    if counts.min() < 0:
+    counts: tuple[int, ...] = COUNTERS.unpack(raw)
+    if min(counts) < 0:
         raise ValueError("counts below 0")
-    return counts.astype(np.int64)
+    return counts
 
 
 def _whole(value: Any) -> int:
@@ -152,8 +150,13 @@ def _links(values: Any) -> dict[str, LinkSample]:
     return {PORTS[row[0]]: LinkSample(*row[1:]) for row in rows}
 
 
-def _by_port_and_kind(table: NDArray[np.int64]) -> dict[str, dict[str, int]]:
+def _by_port_and_kind(values: Any) -> dict[str, dict[str, int]]:
+    if not isinstance(values, list) or len(values) % 2 or len(values) > 2 * ARRIVALS * KINDS:
+        raise ValueError("packets by port and kind that are none")
     found: dict[str, dict[str, int]] = {}
-    for port, kind in np.argwhere(table).tolist():
-        found.setdefault(PORTS[port], {})[KIND_NAMES.get(kind, "none")] = int(table[port, kind])
+    for at, many in zip(values[::2], values[1::2], strict=True):
+        port, kind = divmod(_whole(at), KINDS)
+        if port >= ARRIVALS or kind not in KIND_NAMES:
+            raise ValueError(f"packets at place {at}")
+        found.setdefault(PORTS[port], {})[KIND_NAMES[kind]] = _whole(many)
     return found

@@ -18,7 +18,7 @@ from raygrid.node.errors import TooLarge
 from raygrid.node.hierarchy import DEPTH
 from raygrid.node.lattice import Space
 from raygrid.node.orders import frame_order
-from raygrid.node.packets import SIZE, pack_weight
+from raygrid.node.packets import SIZE
 from raygrid.node.step import HEAD, make_outputs, step
 from raygrid.node.surfaces import SurfaceSet
 from raygrid.node.tables import COUNTS, Frame
@@ -67,7 +67,6 @@ class SingleStep:
         self.nodes: dict[Index, Tracer] = {processor.index: processor.tracer for processor in array.processors}
         self._outputs = make_outputs(2 * (frame.n_lights + 2), DEPTH)
         self._ports = np.zeros(1, np.uint8)
-        self._white = pack_weight(1.0, 1.0, 1.0)
 
     def serve(self, index: Index, packet: bytes, port: int) -> Served:
         """Hand one packet, which came by that port, to one node."""
@@ -91,9 +90,7 @@ class SingleStep:
         pixel, number = divmod(sample, frame.samples)
         j, i = divmod(pixel, frame.width)
         packet = np.zeros(SIZE, np.uint8)
-        made = bear_primary(
-            node.cell, self.space, node.frame, node.pixels, i, j, number, packet, 0, self._white, node.counts
-        )
+        made = bear_primary(node.cell, self.space, node.frame, node.pixels, i, j, number, packet, node.counts)
         return packet.tobytes() if made else None
 
     def bear_next(self, index: Index) -> bytes | None:

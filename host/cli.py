@@ -8,18 +8,20 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import signal
 import sys
 import traceback
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from raygrid.host.cli_inspect import add_commands as _add_inspect_commands
-from raygrid.host.cli_service import add_commands as _add_service_commands
-from raygrid.host.cli_types import Fault, Number, Pair, Shape
+if TYPE_CHECKING:
+    AnyType = click.ParamType[Any]
+else:
+    AnyType = click.ParamType  # not generic before click 8.4
 
 DEBUG = "RAYGRID_DEBUG"
 
@@ -53,6 +55,80 @@ Examples:
   raygrid export scenes/kinds.nff
   raygrid export scenes/room.glb --depth 3 -o room.pov
 """
+
+
+class Pair(AnyType):
+    """Two whole numbers, `512x384`."""
+
+    name = "pair"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        """Raises a usage error for anything else."""
+        numbers = str(value).lower().split("x")
+        if len(numbers) != 2 or not all(number.isascii() and number.isdigit() for number in numbers):
+            self.fail(f"{_shorten(value)} came, wanted two whole numbers such as 512x384", param, ctx)
+        if any(len(number) > 9 or int(number) < 1 for number in numbers):
+            self.fail(f"{_shorten(value)} came, wanted sides of 1 to 65536", param, ctx)
+        return int(numbers[0]), int(numbers[1])
+
+
+class Shape(AnyType):
+    """An array, `2x2x2`."""
+
+    name = "shape"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int, int]:
+        """Raises a usage error for anything but three whole numbers of 1 or more."""
+        from raygrid.emulator.limits import parse_shape
+
+        if isinstance(value, tuple):
+            return value
+        try:
+            return parse_shape(str(value))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
+class Fault(AnyType):
+    """A fault for experiments, `drop:0.001:7`."""
+
+    name = "fault"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Raises a usage error for anything that `parse_fault` refuses."""
+        from raygrid.node.faulty import parse_fault
+
+        try:
+            return parse_fault(str(value))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
+class Number(AnyType):
+    """A number from `least` to `most`; whole if `least` is."""
+
+    name = "number"
+
+    def __init__(self, least: float, most: float) -> None:
+        self._least, self._most = least, most
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Raises a usage error for anything else, NaN too."""
+        whole = isinstance(self._least, int)
+        read: Callable[[str], float] = int if whole else float
+        try:
+            number = read(value) if len(str(value)) < 40 else math.nan
+        except ValueError:
+            number = math.nan
+        if not self._least <= number <= self._most:
+            kind = "whole number" if whole else "number"
+            self.fail(f"{_shorten(value)} came, wanted a {kind} from {self._least} to {self._most}", param, ctx)
+        return number
+
+
+def _shorten(value: Any) -> str:
+    text = str(value)
+    return repr(text if len(text) <= 40 else text[:37] + "...")
 
 
 def _debug_option(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -153,8 +229,11 @@ def export(scene: str, depth: int | None, highlights: bool | None, output: str |
     write_result(export_file(scene, output, depth, highlights))
 
 
-_add_inspect_commands(cli, _debug_option)
+from raygrid.host.cli_inspect import add_commands as _add_inspect_commands  # noqa: E402  (and so does it)
+from raygrid.host.cli_service import add_commands as _add_service_commands  # noqa: E402  (it uses the types above)
+
 _add_service_commands(cli, render, _debug_option)
+_add_inspect_commands(cli, _debug_option)
 
 
 def _lines(facts: dict[str, Any], indent: str = "") -> Iterator[str]:

@@ -7,7 +7,8 @@ from typing import Any
 
 import click
 
-from raygrid.host.cli_types import ArrayName, Number, Pair, Place, Shape
+from raygrid.host.cli import AnyType, Number, Pair, Shape
+from raygrid.host.cli_service import ArrayName
 
 Command = Callable[..., Any]
 
@@ -36,6 +37,21 @@ Examples:
 
 docs/deadlock.md has what this shows, with counts.
 """
+
+
+class Place(AnyType):
+    """A pixel, `200,150`."""
+
+    name = "place"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        """Raises a usage error for anything else."""
+        numbers = str(value).split(",")
+        if len(numbers) != 2 or not all(
+            number.isascii() and number.isdigit() and len(number) < 10 for number in numbers
+        ):
+            self.fail(f"{str(value)[:40]!r} came, wanted column and row such as 200,150", param, ctx)
+        return int(numbers[0]), int(numbers[1])
 
 
 # fmt: off

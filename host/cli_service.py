@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from raygrid.host.cli_types import ArrayName, Frames, Number, Shape
+from raygrid.host.cli import AnyType, Number, Shape
 
 # Options of `render` that a job has, too; the others belong to the array, and so to `up`.
 OF_RENDER = ("size", "samples", "depth", "min_weight", "highlights", "split", "budget", "transfer")
@@ -53,12 +53,47 @@ Examples:
 RESET_EXAMPLES = """\b
 Examples:
   raygrid reset
+  raygrid reset --name film
 """
 DOWN_EXAMPLES = """\b
 Examples:
   raygrid down
   raygrid down --finish --name film
 """
+
+
+class ArrayName(AnyType):
+    """The name of an array that stays."""
+
+    name = "name"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Raises a usage error for what cannot be one."""
+        from raygrid.host.service_files import check_array_name
+        from raygrid.node.errors import ArrayError
+
+        try:
+            check_array_name(str(value))
+        except ArrayError as error:
+            self.fail(str(error), param, ctx)
+        return str(value)
+
+
+class Frames(AnyType):
+    """Frames, `1-250` or `7`: the first and the last."""
+
+    name = "frames"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        """Raises a usage error for anything else."""
+        from raygrid.host.frames import parse_frames
+
+        if isinstance(value, tuple):
+            return value
+        try:
+            return parse_frames(str(value))
+        except ValueError as error:
+            self.fail(f"{str(value)[:40]!r} came, {error}", param, ctx)
 
 
 def _name_option(command: Command) -> Command:

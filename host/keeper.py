@@ -52,16 +52,24 @@ class Keeper:
         """Launch the array. Raises NoArray."""
         self._holds, self._rate = "", 0.0
         with self._launching():
-            self._array = Array.launch(self.shape, **self._options)
+            self._array = Array(self.shape, **self._options)
+            self._array.begin()
+            # What a frame needs takes a second to import; the nursery warms up beside it.
+            import raygrid.host.scene_store
+            import raygrid.host.steady  # noqa: F401
+
+            self._array.wait_ready()
 
     @contextlib.contextmanager
     def _launching(self) -> Any:
         """What goes wrong in this block leaves no array. Raises NoArray."""
         try:
             yield
-        except (RaygridError, OSError, MemoryError) as error:
+        except BaseException as error:
             self.close()
-            raise NoArray(f"the array cannot be launched: {error or 'out of memory'}") from error
+            if isinstance(error, RaygridError | OSError | MemoryError):
+                raise NoArray(f"the array cannot be launched: {error or 'out of memory'}") from error
+            raise
 
     @property
     def there(self) -> bool:

@@ -43,6 +43,7 @@ END_SECONDS = 30.0  # for the array to end; then its processes see that the serv
 SAMPLE_SECONDS = 2.0
 FAULTS_KEPT = 20
 RESET_SECONDS = 120.0
+ENDING = {signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
 
 
 class Service:
@@ -78,8 +79,9 @@ class Service:
 
     async def run(self) -> int:
         """Serve until told to end; returns the exit code."""
-        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        for number in ENDING:
             self._loop.add_signal_handler(number, self._end)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
         sampling = asyncio.create_task(self._sample())
         try:
             await self._door.open()
@@ -407,6 +409,7 @@ def main() -> None:
     parser.add_argument("--batch", type=int, required=True)
     parser.add_argument("--patience", type=float, required=True)
     given = parser.parse_args()
+    signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)  # until there is somebody who cleans up
     tell = os.fdopen(os.dup(1), "wb")
     code = 1
     try:

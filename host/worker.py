@@ -16,7 +16,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from raygrid.emulator.driver import PATIENCE
 from raygrid.host.frames import path_of
 from raygrid.host.keeper import Keeper, NoArray
 from raygrid.node.errors import RaygridError
@@ -76,7 +75,7 @@ class Options:
 
     shape: tuple[int, int, int]
     batch: int = 4096
-    patience: float = PATIENCE
+    patience: float = 30.0
     journal: Path = field(default_factory=Path)
 
 
@@ -145,7 +144,6 @@ class Worker(threading.Thread):
     def _launch(self) -> bool:
         try:
             self.keeper.launch()
-            # Imported here, while the nursery's own imports are over and no client waits.
             from raygrid.host.journal import Journal
             from raygrid.host.scene_store import SceneStore
 

@@ -9,12 +9,12 @@ A sample only reads. It goes up the line if there is room, and is dropped and co
     phase     load, trace, collect or idle: of the last order
     counts    int64 as bytes, the counts of `node.tables` for this frame
     queues    packets that wait: returns and pixels, shadow rays, other rays
-    waiting   int list (PORTS + 2) x (kinds), row by row: those packets by the port of their arrival (6: host, 7: born
-              here) and by kind; of each queue the newest LOOKED_AT at most
+    waiting   those packets by the port of their arrival (6: host, 7: born here) and by kind: port * KINDS + kind, how
+              many, and so on for those that are any; of each queue the newest LOOKED_AT at most
     outputs   packets on the six ports' outputs and that to the host, not yet sent
     links     [port, messages that wait, messages sent, bytes sent, messages received] a link
     surfaces  held
-    memory    bytes by use, as in the record of a node, and resident (of the process)
+    memory    bytes by use, as in the record of a node, and resident (of the process), at most MEMORY_SECONDS old
     cpu       seconds of processor time since the process began
     dropped   words that this node could not say on its line
 """
@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from .backlog import CLASSES
 from .errors import ProtocolError
 from .packets import KINDS, SIZE
 from .walk import HOST, SELF
@@ -35,6 +36,7 @@ from .walk import HOST, SELF
 if TYPE_CHECKING:
     from .processor import Processor
 
+MEMORY_SECONDS = 1.0  # between two looks at memory
 FASTEST = 100.0  # samples a second
 LOOKED_AT = 32_768  # packets of a queue; counting more would take a millisecond
 ARRIVALS = SELF + 1
@@ -69,6 +71,8 @@ class Probe:
         self._line, self._clock = line, clock
         self._period = 0.0
         self._number = 0
+        self._memory: dict[str, int] = {}
+        self._measured = -NEVER
         self.due = NEVER
 
     @property
@@ -94,12 +98,21 @@ class Probe:
         if now < self.due:
             return
         self.due = max(self.due + self._period, now)
-        self._line.send(sample(processor, epoch, self._number, now, self._line.dropped))
+        if now >= self._measured + MEMORY_SECONDS or not self._memory:
+            self._memory, self._measured = memory(processor), now
+        self._line.send(sample(processor, epoch, self._number, now, self._line.dropped, self._memory))
         self._number += 1
 
 
-def sample(processor: Processor, epoch: int, number: int, now: float, dropped: int) -> dict[str, Any]:
-    """How a node stands."""
+def memory(processor: Processor) -> dict[str, int]:
+    """Bytes by use, and resident."""
+    return {**processor.tracer.memory, "resident": _resident()}
+
+
+def sample(
+    processor: Processor, epoch: int, number: int, now: float, dropped: int, used: dict[str, int]
+) -> dict[str, Any]:
+    """How a node stands. used: as of `memory`, which takes longer than all the rest."""
     tracer = processor.tracer
     return {
         "is": "sample",
@@ -108,7 +121,7 @@ def sample(processor: Processor, epoch: int, number: int, now: float, dropped: i
         "time": now,
         "phase": processor.phase,
         "counts": tracer.counts.astype("<i8").tobytes(),
-        "queues": [stack.held for stack in tracer.backlog.stacks],
+        "queues": tracer.backlog.count[:CLASSES].tolist(),
         "waiting": _waiting(processor),
         "outputs": tracer.outputs.held[: HOST + 1].tolist(),
         "links": [
@@ -116,22 +129,25 @@ def sample(processor: Processor, epoch: int, number: int, now: float, dropped: i
             for port, link in processor.links.items()
         ],
         "surfaces": sum(len(batch) for batch in tracer.retained),
-        "memory": {**tracer.memory, "resident": _resident()},
+        "memory": used,
         "cpu": time.process_time(),
         "dropped": dropped,
     }
 
 
 def _waiting(processor: Processor) -> list[int]:
-    """Packets that wait, by port of arrival and kind."""
+    """Packets that wait, by port of arrival and kind: place in the table and how many, for those that are any."""
+    backlog = processor.tracer.backlog
     table = np.zeros(ARRIVALS * KINDS, np.int64)
-    for stack in processor.tracer.backlog.stacks:
-        if stack.held:
-            first = max(0, stack.held - LOOKED_AT)
-            kinds = stack.packets[first * SIZE : stack.held * SIZE : SIZE] & 7
-            at = stack.ports[first : stack.held].astype(np.int64) * KINDS + kinds
+    for queue in range(CLASSES):
+        held = int(backlog.count[queue])
+        if held:
+            first = max(0, held - LOOKED_AT)
+            kinds = backlog.stacks[queue][first * SIZE : held * SIZE : SIZE] & 7
+            at = backlog.stacks[CLASSES + queue][first:held].astype(np.int64) * KINDS + kinds
             table += np.bincount(at, minlength=len(table))
-    counted: list[int] = table.tolist()
+    places = np.flatnonzero(table)
+    counted: list[int] = np.stack((places, table[places]), axis=1).ravel().tolist()
     return counted
 
 

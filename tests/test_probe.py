@@ -24,11 +24,11 @@ from raygrid.host.probe_view import MOST_ROWS, heat_maps, view
 from raygrid.host.probing import Probing
 from raygrid.host.prometheus import Endpoint
 from raygrid.host.render import render_job
+from raygrid.node.backlog import CLASSES
 from raygrid.node.errors import ArrayError, OutputError, ProtocolError
 from raygrid.node.line import Line
 from raygrid.node.maps import pack_map, read_map
-from raygrid.node.packets import SIZE
-from raygrid.node.probe import NEVER, Probe, read_rate, sample
+from raygrid.node.probe import NEVER, Probe, memory, read_rate, sample
 from raygrid.node.processor import Processor
 
 pytestmark = pytest.mark.usefixtures("warm_kernels", "quick_records")
@@ -53,7 +53,10 @@ def states(processors: list[Processor]) -> list:
         copy.deepcopy(
             (
                 p.tracer.counts.tobytes(),
-                [(s.held, s.most_held, s.packets[: s.held * SIZE].tobytes()) for s in p.tracer.backlog.stacks],
+                (
+                    p.tracer.backlog.count.tobytes(),
+                    [p.tracer.backlog.packets(kind).tobytes() for kind in range(CLASSES)],
+                ),
                 p.tracer.outputs.held.tobytes(),
                 p.tracer.quota,
                 p.tracer.cursor.tobytes(),
@@ -82,7 +85,7 @@ def busy():
             probe.set_rate(1.0)
             probe.maybe_speak(processor, 3)
             (words,) = speaker.said
-            queued = [stack.held for stack in processor.tracer.backlog.stacks]
+            queued = processor.tracer.backlog.count[:CLASSES].tolist()
             taken.append((read_sample(processor.index, words), queued, number))
         assert states(array.processors) == before, "a sample has changed something"
         return order(n)
@@ -114,7 +117,10 @@ def test_a_sample_says_what_the_node_has(busy):
     assert {said.phase for said, _, _ in taken} == {"idle", "load", "trace", "collect"}
     assert max(said.held for said, _, _ in taken) > 50
     for processor in array.processors:
-        said, record = read_sample(processor.index, sample(processor, 0, 0, 1.0, 0)), processor.record()
+        said, record = (
+            read_sample(processor.index, sample(processor, 0, 0, 1.0, 0, memory(processor))),
+            processor.record(),
+        )
         assert (said.born, said.died, said.walks, said.hits) == tuple(
             record[name] for name in ("born", "died", "walks", "hits")
         )
@@ -192,7 +198,7 @@ SPOILT = {
     "phase": [None, "sleep", 3, b"trace"],
     "counts": [None, b"", b"\0" * 8, b"\xff" * 8 * 42, "x"],
     "queues": [None, [], [1, 2], [1, 2, -3], [1, 2, 3.0], {}],
-    "waiting": [None, [0] * 3, "x"],
+    "waiting": [None, [1] * 3, "x", [56, 1], [0, 1], [7, 1], [1, -1], [1, 1] * 57],
     "outputs": [None, [0] * 6, [0] * 8],
     "links": [None, 3, [[0, 1]], [[7, 0, 0, 0, 0]], [[-1, 0, 0, 0, 0]], [[0, 0, 0, 0, 0]] * 8],
     "surfaces": [None, -1],
@@ -205,7 +211,7 @@ SPOILT = {
 @pytest.mark.parametrize(("name", "value"), [(name, value) for name, values in SPOILT.items() for value in values])
 def test_what_is_no_sample_is_refused(name, value):
     (processor,) = MemoryArray((1, 1, 1)).processors
-    words = sample(processor, 0, 0, 1.0, 0)
+    words = sample(processor, 0, 0, 1.0, 0, memory(processor))
     read_sample((0, 0, 0), words)
     with pytest.raises(ProtocolError, match="node 0,0,0 said a sample that is none"):
         read_sample((0, 0, 0), {**words, name: value})
