@@ -42,6 +42,7 @@ READY_SECONDS, READY_SECONDS_A_NODE = 10.0, 0.05  # for the links to come up; lo
 END_SECONDS = 5.0
 FAULT_PATIENCE = 3.0  # seconds: with faults on purpose a message that never comes is the likely reason of silence
 LOOK_SECONDS = 0.25  # how often the states of silent processes are looked at
+LISTEN_SECONDS = 0.05  # how often lines are listened to while probes are on
 STOPPED_SECONDS = 0.75  # a node that is stopped (SIGSTOP) for longer than this is lost
 FAULTS = (LostProcess, Stuck, ProtocolError)
 
@@ -90,7 +91,7 @@ class Array:
         self._driver: Driver | None = None
         self._closing = False
         self._lost: RaygridError | None = None
-        self._looked = 0.0
+        self._looked = self._heard = 0.0
         self._stopped_since: dict[Index, float] = {}
 
     @classmethod
@@ -240,9 +241,15 @@ class Array:
         self._tell_rate()
 
     def _tell_rate(self) -> None:
-        if self._crew is not None:
-            for index in self._crew.pids:
-                self._crew.lines.send(index, {"do": "probe", "rate": self._rate})
+        if self._crew is None or self._driver is None:  # told when the array is ready
+            return
+        for index in self._crew.pids:
+            self._crew.lines.send(index, {"do": "probe", "rate": self._rate})
+        if self._rate:  # waking for each sample costs more than reading it: `_pump` listens now and then instead
+            with contextlib.suppress(KeyError):
+                self._poller.unregister(self._crew.lines.fileno())
+        else:
+            self._poller.register(self._crew.lines.fileno(), zmq.POLLIN)
 
     def check(self) -> None:
         """Look after an array that nobody waits for: take in what has come, and look at the processes.
@@ -259,8 +266,10 @@ class Array:
         if self.on_wait is not None and not self._closing:
             self.on_wait()
         corner_of = {pair.socket: corner for corner, pair in self._pairs.items()}
-        found = self._poller.poll(int(seconds * 1000))
+        found = self._poller.poll(int(min(seconds, LISTEN_SECONDS if self._rate else seconds) * 1000))
         try:
+            if self._rate and time.monotonic() - self._heard >= LISTEN_SECONDS:
+                self._hear()
             for ready, _ in found:
                 if ready in corner_of:
                     self.driver.receive(corner_of[ready])
@@ -278,6 +287,7 @@ class Array:
     def _hear(self) -> None:
         """Take in the ends of processes and what nodes say on their lines."""
         assert self._crew is not None
+        self._heard = time.monotonic()
         for event in self._crew.hear():
             if isinstance(event, Ended):
                 if not (self._closing and event.code == 0):
