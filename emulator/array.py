@@ -89,7 +89,7 @@ class Array:
         self._pairs: dict[int, Pair] = {}
         self._poller = zmq.Poller()
         self._driver: Driver | None = None
-        self._closing = False
+        self._begun = self._closing = False
         self._lost: RaygridError | None = None
         self._looked = self._heard = 0.0
         self._stopped_since: dict[Index, float] = {}
@@ -124,6 +124,7 @@ class Array:
 
     def begin(self) -> None:
         """Start the nursery, which warms up while the caller does other things."""
+        self._begun = True
         self._place = Place.create(self.shape)
         self._nursery = Nursery.start(on_warming=self._on_warming, directory=self._place.path)
 
@@ -153,7 +154,7 @@ class Array:
         a second are forked anew. If the nodes cannot be brought to work together, or the nursery is gone, the whole
         array is launched anew. Raises ArrayError and its kinds, or ProtocolError, if that fails as well.
         """
-        if self._closing or self._place is None:
+        if self._closing or not self._begun:
             raise ArrayError("the array cannot be reset: it was not launched, or it was closed")
         try:
             if self._crew is not None and self._nursery is not None and self._nursery.alive:
