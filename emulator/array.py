@@ -60,6 +60,7 @@ class Array:
     injected  messages that were hit by it so far
     on_words  called as on_words(index, words) with what a node says on its line, but for its acknowledgements
     on_wait   called whenever the host waits for the array, four times a second or more; what it raises is passed on
+    profile   whether nodes say where their time goes (`node.profile`)
     """
 
     def __init__(
@@ -69,12 +70,13 @@ class Array:
         patience: float | None = None,
         on_warming: Callable[[int, int, str], None] | None = None,
         fault: FaultPlan | None = None,
+        profile: bool = False,
     ) -> None:
         check_fits(shape)
         if fault is not None:
             patience = min(FAULT_PATIENCE, FAULT_PATIENCE if patience is None else patience)
         self.shape, self.batch, self.patience, self.fault = shape, batch, patience, fault
-        self.injected = 0
+        self.injected, self.profile = 0, profile
         self.epoch, self.restarts = -1, 0
         self.on_words: Callable[[Index, Words], None] | None = None
         self.refused_samples = 0
@@ -204,7 +206,7 @@ class Array:
             pair = Pair(self._context, host_endpoint(self._place.path, self.epoch, index), bind=True)
             self._pairs[corner] = pair
             self._poller.register(pair.socket, zmq.POLLIN)
-        told = {"batch": self.batch, "fault": self.fault}
+        told = {"batch": self.batch, "fault": self.fault, "profile": self.profile}
         forked = self._crew.begin(node_configs(self.shape, self._place.path, self.epoch, machine, **told))
         self.restarts += 0 if first else forked
         for descriptor in self._crew.filenos():

@@ -171,6 +171,8 @@ def cli() -> None:
 @click.option("--chrome-trace", type=click.Path(), metavar="FILE", help="Write the same as a trace for Perfetto.")
 @click.option("--probe-rate", type=Number(0.01, 100.0), default=10.0, show_default=True, metavar="HZ",
               help="How often a node tells how it stands, if anybody asks.")
+@click.option("--profile", is_flag=True,
+              help="Say where each processor's time went: receive, birth, decode, walk, hit, shade, send, other, wait.")
 @click.option("--patience", type=Number(0.1, 1e9), default=30.0, show_default=True, metavar="SECONDS",
               help="Time without any progress after which the array is taken to hang.")
 @click.option("--attempts", type=Number(1, 1000), default=4, show_default=True, metavar="N",
@@ -187,7 +189,7 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
     """
     from raygrid.host.command_render import Request, default_outputs, run_render
 
-    of_machine = ("batch", "budget", "transfer", "stats", "patience", "attempts", "fault", "quiet")
+    of_machine = ("batch", "budget", "transfer", "stats", "patience", "attempts", "fault", "quiet", "profile")
     names = (*of_machine, "probe_record", "chrome_trace", "probe_rate")
     machine = {name: options.pop(name) for name in names}
     run_render(Request(scene, shape, outputs or default_outputs(scene), **machine, settings=options))

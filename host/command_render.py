@@ -33,6 +33,7 @@ class Request:
     shape     processors on each axis
     outputs   paths of pictures and sums
     stats     path of the statistics, or None
+    profile   whether to say where the nodes' time went
     settings  of `raygrid.host.job.Settings`
     probe_record, chrome_trace   paths of what probes tell `probe_rate` times a second, or None
     """
@@ -48,6 +49,7 @@ class Request:
     attempts: int
     fault: FaultPlan | None
     quiet: bool
+    profile: bool
     settings: dict[str, Any]
     probe_record: str | None = None
     chrome_trace: str | None = None
@@ -74,6 +76,10 @@ def run_render(request: Request) -> None:
             talk.remark("no ray of the camera meets a surface: the picture shows the background only")
         for line in _summary(picture):
             talk.say(line)
+        if request.profile:
+            from raygrid.host.profile_table import profile_table
+
+            talk.table(profile_table(picture.stats["nodes"]))
     for output in request.outputs:
         write_result(output)
 
@@ -81,7 +87,12 @@ def run_render(request: Request) -> None:
 def _render(request: Request, talk: Talk, begun: float, probing: Probing | None) -> Picture:
     shape = request.shape
     with Array(
-        shape, batch=request.batch, patience=request.patience, on_warming=talk.warming, fault=request.fault
+        shape,
+        batch=request.batch,
+        patience=request.patience,
+        on_warming=talk.warming,
+        fault=request.fault,
+        profile=request.profile,
     ) as array:
         array.begin()
         talk.phase(f"reading {request.scene}")

@@ -29,7 +29,8 @@ def run(config: dict[str, Any], life: int, line: int) -> None:
     """Be one node until the order `end`, or until the pipe `life` closes because the launcher is gone.
 
     config  index [x, y, z], shape, epoch, machine (name of the array), batch (most packets a message), and
-            links: a list of {port, endpoint, bind}; and fault, (kind, rate, seed) of `node.faulty`, if it is wanted
+            links: a list of {port, endpoint, bind}; and fault, (kind, rate, seed) of `node.faulty`, if it is wanted;
+            and profile, whether to say where time goes
     line    descriptor of the node's end of the line to the host (`node.line`)
 
     A reset order on the line ends an epoch, whatever its state: links, packets, surfaces and pixels are dropped, and
@@ -125,6 +126,10 @@ def _serve(
     index, shape = tuple(config["index"]), tuple(config["shape"])
     processor = Processor(index, shape, open_links(config, channels), config["batch"])
     faults = [channel for channel in channels.values() if isinstance(channel, Faulty)]
+    if config.get("profile"):
+        from .profile import Profile
+
+        Profile(processor)
     ports = {pair.socket: port for port, pair in pairs.items()}
     poller = zmq.Poller()
     for socket in ports:
