@@ -108,16 +108,19 @@ class Connection:
             raise ArrayError(str(message["error"]))
         return message
 
-    def next_event(self, job: int) -> Message:
+    def next_event(self, job: int | None) -> Message:
         """The next event, of any job that is followed, waited for as long as it takes.
 
-        Where none comes for a while, the service is asked for `job`. Raises ArrayError if it is gone or hangs.
+        Where none comes for a while, the service is asked for `job`; if that is None, TimeoutError is raised. Raises
+        ArrayError if it is gone or hangs.
         """
         while not self._events:
             self._socket.settimeout(QUIET_SECONDS)
             try:
                 message = self._receive()
             except TimeoutError:
+                if job is None:
+                    raise
                 self.ask({"do": "follow", "job": job})
                 continue
             except OSError as error:

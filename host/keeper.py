@@ -12,6 +12,7 @@ from raygrid.node.errors import ArrayError, ProtocolError, RaygridError, TooLarg
 
 if TYPE_CHECKING:
     from raygrid.emulator.driver import Progress
+    from raygrid.emulator.samples import Sample
     from raygrid.host.picture import Picture
     from raygrid.host.render import Watch
     from raygrid.host.scene_store import Ready
@@ -33,6 +34,8 @@ class Keeper:
     floods    how often a scene was loaded
     on_fault  told of each fault that was repaired
     on_wait   called often while a frame is rendered; raises to give the frame up
+    rate      of the array's probes, in samples a second of each node; any thread may set it
+    on_sample told of each sample; to be set before the rate
     """
 
     def __init__(self, shape: Shape, on_fault: OnFault, on_wait: Callable[[], None], **options: Any) -> None:
@@ -41,11 +44,13 @@ class Keeper:
         self._options = options
         self._array: Array | None = None
         self._holds = ""  # digest of what the array holds
+        self.rate = self._rate = 0.0  # wanted, and told to the array
+        self.on_sample: Callable[[Sample], object] | None = None
         self._spoilt = False  # and must be reset before the next frame
 
     def launch(self) -> None:
         """Launch the array. Raises NoArray."""
-        self._holds = ""
+        self._holds, self._rate = "", 0.0
         with self._launching():
             self._array = Array(self.shape, **self._options)
             self._array.begin()
@@ -89,6 +94,7 @@ class Keeper:
             self.launch()
             return
         try:
+            self._set_rate()
             self._array.check()
         except (ArrayError, ProtocolError) as error:
             begun = time.perf_counter()
@@ -114,7 +120,7 @@ class Keeper:
             self.launch()
         assert self._array is not None
         epoch = self._array.epoch
-        self._array.on_wait = self._on_wait
+        self._array.on_wait = self._wait
         try:
             loaded = self._holds == ready.loaded
             watching = self._noting(ready, loaded, watch)
@@ -127,6 +133,15 @@ class Keeper:
         finally:
             if self._array is not None:
                 self._array.on_wait = None
+
+    def _wait(self) -> None:
+        self._set_rate()
+        self._on_wait()
+
+    def _set_rate(self) -> None:
+        if self._array is not None and self._rate != self.rate:
+            self._rate = self.rate
+            self._array.probe(self._rate, self.on_sample)
 
     def _tell(self, fault: Fault) -> None:
         self._on_fault(f"{fault.what}; repaired in {fault.seconds[1]:.2f} s, {fault.restarts} nodes forked anew")

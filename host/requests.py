@@ -122,6 +122,13 @@ class Status(Strictly):
     do: Literal["status"]
 
 
+class Probe(Strictly):
+    """Tell how the nodes stand, `rate` times a second each, until the client leaves or asks for 0."""
+
+    do: Literal["probe"]
+    rate: Annotated[float, Field(ge=0.0, le=100.0)]
+
+
 class Reset(Strictly):
     """Empty the array and begin the running frame again."""
 
@@ -136,7 +143,7 @@ class Down(Strictly):
     cancel: bool = False
 
 
-Request = Submit | Follow | Cancel | Jobs | Status | Reset | Down
+Request = Submit | Follow | Cancel | Jobs | Status | Probe | Reset | Down
 _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
 
 

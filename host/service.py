@@ -14,6 +14,7 @@ import signal
 import sys
 import time
 from collections import Counter, deque
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from raygrid.emulator.places import Place, process_mark
@@ -26,7 +27,7 @@ from raygrid.host.worker import Event, Options, Task, Worker
 from raygrid.node.errors import ArrayError
 
 if TYPE_CHECKING:
-    from raygrid.host.requests import Cancel, Down, Follow, Request, Submit
+    from raygrid.host.requests import Cancel, Down, Follow, Probe, Request, Submit
     from raygrid.host.requests import Jobs as JobsRequest
     from raygrid.host.schedule import Entry
     from raygrid.host.service_door import Client
@@ -200,6 +201,17 @@ class Service:
                 waiting.set_result(None)
         self._resets.clear()
 
+    def _hear_sample(self, event: Event) -> None:
+        told: Message | None = None
+        for client in self._door.clients:
+            if client.rate:
+                told = told or {"is": "event", "what": "sample", "sample": asdict(event.facts["sample"])}
+                client.send(told, droppable=True)
+        self._set_rate()  # a client may have left
+
+    def _set_rate(self) -> None:
+        self._worker.keeper.rate = max((client.rate for client in self._door.clients), default=0.0)
+
     def _hear_ended(self, event: Event) -> None:
         self._over.set()
 
@@ -304,6 +316,11 @@ class Service:
 
     async def _do_jobs(self, client: Client, request: JobsRequest) -> Message:
         return {"is": "jobs", "jobs": self._jobs.list(request.ended)}
+
+    async def _do_probe(self, client: Client, request: Probe) -> Message:
+        client.rate = request.rate
+        self._set_rate()
+        return {"is": "probing", "array": list(self._options.shape), "rate": self._worker.keeper.rate}
 
     async def _do_reset(self, client: Client, request: Request) -> Message:
         done = self._loop.create_future()

@@ -38,11 +38,13 @@ class Client:
     """A client that was let in.
 
     follows  jobs that it is told of
+    rate     how often a second it wants to be told how each node stands; 0: not at all
     """
 
     def __init__(self, writer: asyncio.StreamWriter, on_slow: Callable[[], None]) -> None:
         self._writer, self._on_slow = writer, on_slow
         self.follows: set[int] = set()
+        self.rate = 0.0
 
     def send(self, message: Message, droppable: bool = False) -> None:
         """Send without waiting; `droppable` messages only if the client keeps up."""

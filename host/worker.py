@@ -60,6 +60,7 @@ class Event(NamedTuple):
     interrupted                        it was given up, as asked
     fault     what                     the array failed and was repaired
     reset                              it was reset, as asked
+    sample    sample                   how a node stands
     ended                              the thread has ended, and the array with it
     """
 
@@ -103,6 +104,7 @@ class Worker(threading.Thread):
                 Event("warming", None, dict(zip(("done", "total", "what"), now, strict=True)))
             ),
         )
+        self.keeper.on_sample = lambda sample: post(Event("sample", None, {"sample": sample}))
         self._store: SceneStore | None = None
         self._journal: Journal | None = None
 
