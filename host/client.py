@@ -36,6 +36,7 @@ from raygrid.node.errors import ArrayError, ProtocolError
 
 ANSWER_SECONDS = 20.0  # a service that lives answers at once
 RESET_SECONDS = 150.0
+QUIET_SECONDS = 30.0  # without any news of a job, after which the service is asked whether it lives
 SETTINGS = ("size", "samples", "depth", "min_weight", "highlights", "split")
 
 Watch = Callable[[dict[str, Any]], None]
@@ -107,19 +108,38 @@ class Connection:
             raise ArrayError(str(message["error"]))
         return message
 
-    def next_event(self, timeout: float | None = None) -> Message:
-        """The next event, waited for as long as it takes (TimeoutError after `timeout` seconds). Raises ArrayError."""
-        if self._events:
-            return self._events.pop(0)
-        self._socket.settimeout(timeout)
-        try:
-            while (message := self._receive())["is"] != "event":
-                pass
-        except TimeoutError:
-            raise
-        except OSError as error:
-            raise ArrayError(f"the array {self.record.name!r} is gone ({error.strerror or error})") from None
-        return message
+    def next_event(self, job: int) -> Message:
+        """The next event, of any job that is followed, waited for as long as it takes.
+
+        Where none comes for a while, the service is asked for `job`. Raises ArrayError if it is gone or hangs.
+        """
+        while not self._events:
+            self._socket.settimeout(QUIET_SECONDS)
+            try:
+                message = self._receive()
+            except TimeoutError:
+                self.ask({"do": "follow", "job": job})
+                continue
+            except OSError as error:
+                raise ArrayError(f"the array {self.record.name!r} is gone ({error.strerror or error})") from None
+            if message["is"] == "event":
+                self._events.append(message)
+        return self._events.pop(0)
+
+    def poll_event(self, seconds: float) -> Message | None:
+        """The next event if one comes within that time. Raises ArrayError if the service is gone."""
+        if not self._events:
+            self._socket.settimeout(seconds)
+            try:
+                message = self._receive()
+            except TimeoutError:
+                return None
+            except OSError as error:
+                raise ArrayError(f"the array {self.record.name!r} is gone ({error.strerror or error})") from None
+            if message["is"] != "event":
+                return None
+            self._events.append(message)
+        return self._events.pop(0)
 
     def _receive(self) -> Message:
         while (message := self._splitter.next()) is None:
@@ -218,7 +238,7 @@ class Service:
         facts = self._connection.ask({"do": "follow", "job": job})
         end = {**facts, "what": "end"} if facts["state"] in ("done", "failed", "cancelled") else None
         while end is None:
-            event = self._connection.next_event()
+            event = self._connection.next_event(job)
             if event["job"] != job:
                 continue  # a job of this connection that nobody waits for
             if event["what"] == "end":

@@ -122,7 +122,7 @@ def _follow(connection: Connection, job: int, frames: int, as_json: bool, quiet:
     with Talk(quiet or as_json) as talk:
         teller = _Teller(talk, job, frames)
         while True:
-            event = connection.next_event()
+            event = connection.next_event(job)
             if event["job"] != job:
                 continue
             if as_json:

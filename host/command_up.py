@@ -69,7 +69,7 @@ def _start(launch: Launch, talk: Talk) -> dict[str, Any]:
     try:
         # -P: modules that happen to lie where the user stands are not what the service imports.
         process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "raygrid.host.service", *arguments],
+            [sys.executable, "-P", "-m", "raygrid.host.service_process", *arguments],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

@@ -1,4 +1,4 @@
-"""The service of an array that stays: one process an array, started by `raygrid up`. docs/service.md describes it.
+"""The service of an array that stays: one process an array (`service_process`). docs/service.md describes it.
 
 The main thread answers clients, keeps the schedule and writes the journal, and never waits for the array; a thread of
 its own drives that (`worker`), so status, cancel and down are answered at once whatever a frame does.
@@ -6,7 +6,6 @@ its own drives that (`worker`), so status, cancel and down are answered at once 
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import contextlib
 import json
@@ -16,21 +15,16 @@ import sys
 import time
 from collections import Counter, deque
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from raygrid.emulator.places import Place, process_mark
 from raygrid.host.service_files import (
-    JOURNAL,
-    LOG,
     RECORD,
     Record,
-    make_state_directory,
-    take_lock,
     write_record,
 )
 from raygrid.host.worker import Event, Options, Task, Worker
-from raygrid.node.errors import ArrayError, RaygridError
+from raygrid.node.errors import ArrayError
 
 if TYPE_CHECKING:
     from raygrid.host.requests import Cancel, Down, Follow, Probe, Request, Submit
@@ -395,49 +389,3 @@ class Service:
     def _give_up(self) -> None:
         print(f"the array did not end within {END_SECONDS:g} seconds", file=sys.stderr, flush=True)
         self._over.set()
-
-
-async def _serve(name: str, options: Options, place: Place, tell: Any) -> int:
-    return await Service(name, options, place, tell).run()
-
-
-def main() -> None:
-    """The whole life of a service. Tells `raygrid up` by lines of JSON on standard output how its start goes."""
-    parser = argparse.ArgumentParser(prog="python -m raygrid.host.service")
-    parser.add_argument("name")
-    parser.add_argument("--array", nargs=3, type=int, required=True, metavar=("NX", "NY", "NZ"))
-    parser.add_argument("--batch", type=int, required=True)
-    parser.add_argument("--patience", type=float, required=True)
-    given = parser.parse_args()
-    signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)  # until there is somebody who cleans up
-    tell = os.fdopen(os.dup(1), "wb")
-    code = 1
-    try:
-        directory = make_state_directory(given.name)
-        lock = take_lock(directory)
-        _keep_log(directory)
-        os.chdir("/")
-        nx, ny, nz = given.array
-        options = Options((nx, ny, nz), given.batch, given.patience, directory / JOURNAL)
-        with Place.create((1, 1, 1)) as place:
-            code = asyncio.run(_serve(given.name, options, place, tell))
-        os.close(lock)
-    except (RaygridError, OSError) as error:
-        with contextlib.suppress(OSError, ValueError):
-            tell.write((json.dumps({"is": "error", "error": str(error)}) + "\n").encode())
-            tell.flush()
-    os._exit(code)  # a thread that hangs in the array would keep us; its processes see that we are gone
-
-
-def _keep_log(directory: Path) -> None:
-    """Standard output and error go to the log from now on; the log of the time before is kept as one older."""
-    with contextlib.suppress(FileNotFoundError):
-        os.replace(directory / LOG, directory / f"{LOG}.1")
-    log = os.open(directory / LOG, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
-    os.dup2(log, 1)
-    os.dup2(log, 2)
-    os.close(log)
-
-
-if __name__ == "__main__":
-    main()

@@ -12,6 +12,7 @@ from raygrid.host.schedule import Entry, Schedule, State
 from raygrid.node.errors import OutputError, ProtocolError, RaygridError
 
 MOST_JOBS = 10_000  # that have not ended
+MOST_QUEUED = 1_000_000  # frames of them all
 
 
 class Jobs:
@@ -47,10 +48,14 @@ class Jobs:
         """Queue a job. Raises OutputError if it cannot be recorded, RaygridError if there are too many."""
         if len(self.schedule.entries) >= MOST_JOBS:
             raise RaygridError(f"{MOST_JOBS} jobs are queued already, wanted fewer")
+        first, last = request.frames or (0, 0)
+        if self.schedule.frames_queued + last - first + 1 > MOST_QUEUED:
+            raise RaygridError(
+                f"{self.schedule.frames_queued:,} frames are queued already, wanted at most {MOST_QUEUED:,}"
+            )
         self._flush()
         job = self.journal.add(request.client, request.model_dump(mode="json"))
         self._requests[job] = request
-        first, last = request.frames or (0, 0)
         return self.schedule.add(job, request.client, range(first, last + 1), last - first + 1)
 
     def request(self, job: int) -> Submit:

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import resource
 import shutil
 import signal
@@ -17,6 +18,7 @@ from support_terminal import Terminal
 
 import raygrid
 from raygrid.emulator import places
+from raygrid.host import client
 from raygrid.host.service_files import find, take_lock
 from raygrid.node.errors import ArrayError
 
@@ -70,28 +72,28 @@ def test_the_job_of_a_client_that_was_killed_goes_on(name, array, tmp_path, numb
         tmp_path / "a.npy",
         "--json",
     ]
-    client = subprocess.Popen([RAYGRID, *arguments], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
-    with client:
-        assert client.stdout is not None
-        client.stdout.readline()
-        client.send_signal(number)
-        client.wait(60)
+    process = subprocess.Popen([RAYGRID, *arguments], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    with process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        process.send_signal(number)
+        process.wait(60)
     array.wait(array.jobs()[-1]["job"])
     assert np.array_equal(np.load(tmp_path / "a.npy"), sums(KINDS, **MIDDLE))
 
 
 def test_a_client_that_does_not_read_holds_nobody_up(name, array, tmp_path):
     arguments = ["submit", TINY, "--name", name, "--size", "64x48", "--frames", "1-30", "-o", tmp_path / "%d.npy"]
-    client = subprocess.Popen([RAYGRID, *arguments, "--json"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
-    with client:
-        assert client.stdout is not None
-        client.stdout.readline()
-        client.send_signal(signal.SIGSTOP)
+    process = subprocess.Popen([RAYGRID, *arguments, "--json"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    with process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        process.send_signal(signal.SIGSTOP)
         try:
             array.wait(array.jobs()[-1]["job"])
             assert len(list(tmp_path.iterdir())) == 30
         finally:
-            client.kill()
+            process.kill()
 
 
 # ---- nodes ----
@@ -110,6 +112,25 @@ def test_a_node_lost_while_tracing_costs_a_repeat_and_no_bit(array, tmp_path, nu
     assert status["faults"]["count"] == faults + 1
     assert f"node 1,0,0 (pid {pid})" in status["faults"]["last"][-1]["what"]
     assert [event for event in seen if event["what"] == "fault"]
+
+
+# A floor that fills the picture and is not lit: hardly any work for many pixels.
+FLOOR = (
+    "v from 0 0 5 at 0 0 0 up 0 1 0 angle 40 hither 1 resolution 9 9 f 1 1 1 1 0 0 0 0 p 4 -9 -9 0 9 -9 0 9 9 0 -9 9 0"
+)
+
+
+def test_a_node_out_of_memory_is_named_and_costs_no_bit(array, tmp_path):
+    (tmp_path / "floor.nff").write_text(FLOOR)
+    faults, pid = array.status()["faults"]["count"], node_pid(array)
+    with open(f"/proc/{pid}/statm") as file:
+        used = int(file.read().split()[0]) * resource.getpagesize()
+    resource.prlimit(pid, resource.RLIMIT_AS, (used, resource.RLIM_INFINITY))  # not a byte more
+    array.submit(tmp_path / "floor.nff", output=tmp_path / "a.npy", size=(1500, 1000)).wait()
+    assert np.array_equal(np.load(tmp_path / "a.npy"), sums(tmp_path / "floor.nff", size=(1500, 1000)))
+    status = array.status()
+    assert status["faults"]["count"] == faults + 1
+    assert re.search(rf"node 1,0,0 \(pid {pid}\) ended: ", status["faults"]["last"][-1]["what"])
 
 
 def test_a_node_lost_while_idle_is_replaced_unasked(array, tmp_path):
@@ -184,16 +205,24 @@ def test_taken_down_jobs_go_on_when_it_is_up_again(name, tmp_path):
         check_usable(array, tmp_path)
 
 
-def test_a_service_that_hangs_is_told_and_can_be_killed(name):
+def test_a_service_that_hangs_is_told_and_can_be_killed(name, tmp_path, monkeypatch):
+    """To those who come, and to those who wait."""
+    monkeypatch.setattr(client, "QUIET_SECONDS", 0.3)
     record = find(name)
-    os.kill(record.pid, signal.SIGSTOP)
+    words = rf"process {record.pid}\) does not answer; raygrid down --kill"
+    waiting = raygrid.connect(name, timeout=2.0)
+    job = waiting.submit(TINY, output=tmp_path / "a.npy", **LONG)
     try:
-        with pytest.raises(ArrayError, match=rf"process {record.pid}\) does not answer; raygrid down --kill"):
+        with pytest.raises(ArrayError, match=words):
+            job.wait(lambda event: os.kill(record.pid, signal.SIGSTOP))
+        with pytest.raises(ArrayError, match=words):
             raygrid.connect(name, timeout=0.3)
     finally:
         assert on(name, "down", "--kill") == (0, "test: killed\n", "")
+    waiting.close()
     wait_dead(record.pid)
     up(name)
+    on(name, "cancel", "--all")
 
 
 # ---- the disk ----
