@@ -55,6 +55,7 @@ class Array:
     restarts  nodes that were forked anew so far
     fault     what goes wrong on purpose on links between neighbours, for experiments; patience is FAULT_PATIENCE then
     injected  messages that were hit by it so far
+    profile   whether nodes say where their time goes (`node.profile`)
     on_words  called as on_words(index, words) with what a node says on its line, but for its acknowledgements
     """
 
@@ -65,8 +66,10 @@ class Array:
         patience: float | None = None,
         on_warming: Callable[[int, int, str], None] | None = None,
         fault: FaultPlan | None = None,
+        profile: bool = False,
     ) -> None:
         check_fits(shape)
+        self.profile = profile
         if fault is not None:
             patience = min(FAULT_PATIENCE, FAULT_PATIENCE if patience is None else patience)
         self.shape, self.batch, self.patience, self.fault = shape, batch, patience, fault
@@ -196,7 +199,7 @@ class Array:
             pair = Pair(self._context, host_endpoint(self._place.path, self.epoch, index), bind=True)
             self._pairs[corner] = pair
             self._poller.register(pair.socket, zmq.POLLIN)
-        told = {"batch": self.batch, "fault": self.fault}
+        told = {"batch": self.batch, "fault": self.fault, "profile": self.profile}
         forked = self._crew.begin(node_configs(self.shape, self._place.path, self.epoch, machine, **told))
         self.restarts += 0 if first else forked
         for descriptor in self._crew.filenos():

@@ -30,6 +30,7 @@ class Request:
     shape     processors on each axis
     outputs   paths of pictures and sums
     stats     path of the statistics, or None
+    profile   whether to say where the nodes' time went
     settings  of `raygrid.host.job.Settings`
     """
 
@@ -44,6 +45,7 @@ class Request:
     attempts: int
     fault: FaultPlan | None
     quiet: bool
+    profile: bool
     settings: dict[str, Any]
 
 
@@ -67,6 +69,10 @@ def run_render(request: Request) -> None:
             talk.remark("no ray of the camera meets a surface: the picture shows the background only")
         for line in _summary(picture):
             talk.say(line)
+        if request.profile:
+            from raygrid.host.profile_table import profile_table
+
+            talk.table(profile_table(picture.stats["nodes"]))
     for output in request.outputs:
         write_result(output)
 
@@ -74,7 +80,12 @@ def run_render(request: Request) -> None:
 def _render(request: Request, talk: Talk, begun: float) -> Picture:
     shape = request.shape
     with Array(
-        shape, batch=request.batch, patience=request.patience, on_warming=talk.warming, fault=request.fault
+        shape,
+        batch=request.batch,
+        patience=request.patience,
+        on_warming=talk.warming,
+        fault=request.fault,
+        profile=request.profile,
     ) as array:
         array.begin()
         talk.phase(f"reading {request.scene}")

@@ -27,7 +27,8 @@ CLOSING_SECONDS = 2.0  # how long a node waits for the answers to its BYE
 def run(config: dict[str, Any], life: int, line: int) -> None:
     """Be one node until the order `end`, or until the pipe `life` closes because the launcher is gone.
 
-    config  index [x, y, z], shape, epoch, machine (name of the array), batch (most packets a message), and
+    config  index [x, y, z], shape, epoch, machine (name of the array), batch (most packets a message),
+            profile (whether to say where time goes), and
             links: a list of {port, endpoint, bind}; and fault, (kind, rate, seed) of `node.faulty`, if it is wanted
     line    descriptor of the node's end of the line to the host (`node.line`)
 
@@ -113,6 +114,10 @@ def _serve(
     index, shape = tuple(config["index"]), tuple(config["shape"])
     processor = Processor(index, shape, open_links(config, channels), config["batch"])
     faults = [channel for channel in channels.values() if isinstance(channel, Faulty)]
+    if config.get("profile"):
+        from .profile import Profile
+
+        Profile(processor)
     ports = {pair.socket: port for port, pair in pairs.items()}
     poller = zmq.Poller()
     for socket in ports:
