@@ -108,25 +108,37 @@ class Connection:
             raise ArrayError(str(message["error"]))
         return message
 
-    def next_event(self, job: int | None) -> Message:
+    def next_event(self, job: int) -> Message:
         """The next event, of any job that is followed, waited for as long as it takes.
 
-        Where none comes for a while, the service is asked for `job`; if that is None, TimeoutError is raised. Raises
-        ArrayError if it is gone or hangs.
+        Where none comes for a while, the service is asked for `job`. Raises ArrayError if it is gone or hangs.
         """
         while not self._events:
             self._socket.settimeout(QUIET_SECONDS)
             try:
                 message = self._receive()
             except TimeoutError:
-                if job is None:
-                    raise
                 self.ask({"do": "follow", "job": job})
                 continue
             except OSError as error:
                 raise ArrayError(f"the array {self.record.name!r} is gone ({error.strerror or error})") from None
             if message["is"] == "event":
                 self._events.append(message)
+        return self._events.pop(0)
+
+    def poll_event(self, seconds: float) -> Message | None:
+        """The next event if one comes within that time. Raises ArrayError if the service is gone."""
+        if not self._events:
+            self._socket.settimeout(seconds)
+            try:
+                message = self._receive()
+            except TimeoutError:
+                return None
+            except OSError as error:
+                raise ArrayError(f"the array {self.record.name!r} is gone ({error.strerror or error})") from None
+            if message["is"] != "event":
+                return None
+            self._events.append(message)
         return self._events.pop(0)
 
     def _receive(self) -> Message:

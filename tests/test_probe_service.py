@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 from collections.abc import Iterator
+from functools import partialmethod
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from support_service import SIZE, end, lasting, on, sums, up
 from support_terminal import HIDE, SHOW, Terminal
 
 import raygrid
+from raygrid.host import probe_service
 from raygrid.host.client import Connection
 from raygrid.host.probe_record import replay
 from raygrid.host.probe_service import subscribe
@@ -97,6 +99,35 @@ def test_a_rate_that_cannot_be_is_refused(name, rate):
     connection = Connection(find(name))
     with contextlib.closing(connection), pytest.raises(ArrayError, match="rate"):
         connection.ask({"do": "probe", "rate": rate})
+
+
+def test_a_quiet_feed_gives_its_reader_turns_and_asks_again(name, monkeypatch):
+    monkeypatch.setattr(probe_service, "QUIET_SECONDS", 0.0)
+    with subscribe(name, 0.01) as feed:
+        for _ in range(2000):  # samples of a client that has just left may still come
+            if next(feed.samples) is None:
+                break
+        else:
+            pytest.fail("the reader got no turn")
+        assert next(feed.samples, "the end") != "the end"  # it was asked again, and goes on
+
+
+def test_a_service_that_hangs_is_noticed(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setattr(probe_service, "QUIET_SECONDS", 0.0)
+    monkeypatch.setattr(
+        probe_service.Connection, "__init__", partialmethod(probe_service.Connection.__init__, timeout=1.0)
+    )
+    pid = up("hung")["pid"]
+    try:
+        with subscribe("hung", 0.01) as feed:
+            os.kill(pid, signal.SIGSTOP)
+            with pytest.raises(ArrayError, match=r"the array 'hung' .* does not answer"):
+                while True:
+                    next(feed.samples)
+    finally:
+        os.kill(pid, signal.SIGCONT)
+        end("hung")
 
 
 # --- the command -----------------------------------------------------------------------------------
