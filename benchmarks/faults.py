@@ -39,6 +39,7 @@ class Row:
     """What came of the cases of one group on one shape."""
 
     cases: int = 0
+    told: int = 0  # cases in which a fault was told; others did no harm, such as a limit that was not reached
     same: int = 0
     refused: int = 0
     wrong: list[str] = field(default_factory=list)
@@ -88,6 +89,7 @@ def run(bed: Bed, case: Case, row: Row) -> None:
     finally:
         faulthandler.cancel_dump_traceback_later()
     row.cases += 1
+    row.told += bool(outcome.ready) or outcome.what == "refused"
     row.same += outcome.what == "same"
     row.refused += outcome.what == "refused"
     if outcome.what == "wrong":
@@ -108,18 +110,19 @@ def say(name: str, shape: tuple[int, int, int], row: Row) -> None:
 def render(rows: dict[tuple[str, tuple[int, int, int]], Row], left: list[str], seed: int, seconds: float) -> str:
     """The table as Markdown."""
     lines = [
-        "| fault | array | cases | same bits | refused | wrong | noticed after, s | then ready after, s |",
-        "|---|---|---|---|---|---|---|---|",
+        "| fault | array | cases | told | same bits | refused | wrong | told after, s | then ready after, s |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for (name, shape), row in rows.items():
         times = f"{spread(row.noticed)} | {spread(row.ready)}"
         lines.append(
-            f"| {name} | {text_of(shape)} | {row.cases} | {row.same} | {row.refused} | {len(row.wrong)} | {times} |"
+            f"| {name} | {text_of(shape)} | {row.cases} | {row.told} | {row.same} | {row.refused} | {len(row.wrong)} | {times} |"
         )
     cases, wrong = sum(row.cases for row in rows.values()), sum(len(row.wrong) for row in rows.values())
     same, refused = sum(row.same for row in rows.values()), sum(row.refused for row in rows.values())
+    told = sum(row.told for row in rows.values())
     lines += [
-        f"| all | | {cases} | {same} | {refused} | {wrong} | | |",
+        f"| all | | {cases} | {told} | {same} | {refused} | {wrong} | | |",
         "",
         f"Hangs: 0. Left behind: {len(left)}. Seed {seed}, {seconds:.0f} s of wall time on {processors()} processors. "
         "Times are the median and, in brackets, the most.",

@@ -12,8 +12,6 @@ from faults_bed import MOMENTS, Bed, Case, Outcome, Strike
 
 from raygrid.node.messages import MessageKind
 
-LEAST_HEADROOM = 1 << 20  # bytes that a node may still take when its memory is limited
-
 
 def _strike(name: str, moment: str, nth: int, act: Callable[[Bed], object]) -> Case:
     return Case(f"{name} at {moment} {nth}", lambda bed: bed.strike(Strike(moment, nth, lambda: act(bed))))
@@ -55,19 +53,30 @@ def _nursery(rng: random.Random) -> list[Case]:
 
 
 def _limit(name: str, which: int, value: Callable[[int], int]) -> Callable[[random.Random], list[Case]]:
-    """A node gets a limit of the kernel's; it lasts until the node is forked anew."""
+    """A node gets a limit of the kernel's, which is taken from it after the frame if it still lives."""
+
+    def do(bed: Bed, moment: str, nth: int, number: int) -> Outcome:
+        pid = bed.array.pids[number]
+        _, hard = resource.prlimit(pid, which)
+
+        def act() -> None:
+            resource.prlimit(pid, which, (value(pid), hard))
+
+        outcome = bed.strike(Strike(moment, nth, act))
+        if pid in bed.array.pids:
+            resource.prlimit(pid, which, (hard, hard))
+        return outcome
 
     def cases(rng: random.Random) -> list[Case]:
         found = []
         for moment in ("idle", "load", "trace"):
             number, nth = rng.randrange(8), rng.randint(1, 4)
-
-            def act(bed: Bed, number: int = number) -> None:
-                pid = bed.array.pids[number]
-                most = value(pid)
-                resource.prlimit(pid, which, (most, most))
-
-            found.append(_strike(name, moment, nth, act))
+            found.append(
+                Case(
+                    f"{name} at {moment} {nth}",
+                    lambda bed, moment=moment, nth=nth, number=number: do(bed, moment, nth, number),
+                )
+            )
         return found
 
     return cases
@@ -75,7 +84,7 @@ def _limit(name: str, which: int, value: Callable[[int], int]) -> Callable[[rand
 
 def _memory_of(pid: int) -> int:
     with open(f"/proc/{pid}/statm") as file:
-        return int(file.read().split()[0]) * resource.getpagesize() + LEAST_HEADROOM
+        return int(file.read().split()[0]) * resource.getpagesize()
 
 
 def _descriptors_of(pid: int) -> int:

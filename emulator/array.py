@@ -58,8 +58,8 @@ class Array:
     refused_samples  what came as a sample of a probe and was none
     fault     what goes wrong on purpose on links between neighbours, for experiments; patience is FAULT_PATIENCE then
     injected  messages that were hit by it so far
-    on_words  called as on_words(index, words) with what a node says on its line, but for its acknowledgements
     profile   whether nodes say where their time goes (`node.profile`)
+    on_words  called as on_words(index, words) with what a node says on its line, but for its acknowledgements
     on_wait   called whenever the host waits for the array, four times a second or more; what it raises is passed on
     """
 

@@ -23,7 +23,7 @@ LARGEST_AXIS = 0xFFFF  # cells of an axis; packets and orders name them by a u16
 
 NODE_DESCRIPTORS = 25  # of one node: six links, a host link, the two global lines, ZeroMQ's own
 HOST_DESCRIPTORS = 100 + 8 * 3  # scene and picture files, the nursery's pipes; eight corner sockets
-HOST_DESCRIPTORS_A_NODE = 2  # the host's ends of the reset line and of the probe
+HOST_DESCRIPTORS_A_NODE = 2  # the host's end of its line, and another one while it is forked anew
 NODE_TASKS = 3  # the node, and the two threads of its ZeroMQ context (measured)
 FIXED_TASKS = 3  # the nursery, and the host's two ZeroMQ threads
 NODE_BYTES = 14_000_000  # private memory of a node without surfaces

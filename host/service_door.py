@@ -41,8 +41,8 @@ class Client:
     rate     how often a second it wants to be told how each node stands; 0: not at all
     """
 
-    def __init__(self, writer: asyncio.StreamWriter) -> None:
-        self._writer = writer
+    def __init__(self, writer: asyncio.StreamWriter, on_slow: Callable[[], None]) -> None:
+        self._writer, self._on_slow = writer, on_slow
         self.follows: set[int] = set()
         self.rate = 0.0
 
@@ -54,6 +54,7 @@ class Client:
             return
         self._writer.write(pack(message))
         if transport.get_write_buffer_size() > MOST_UNSENT:
+            self._on_slow()
             transport.abort()
 
     def close(self) -> None:
@@ -110,7 +111,7 @@ class Door:
         task = asyncio.current_task()
         assert task is not None
         self._tasks.add(task)
-        client = Client(writer)
+        client = Client(writer, lambda: self.refused.update(slow=1))
         try:
             await self._meet(client, reader, writer)
         except (OSError, asyncio.CancelledError):

@@ -49,6 +49,7 @@ PHASES = {
     "report": "idle",
     "halt": "idle",
 }  # begun by an order
+MOST_REASONS = 100  # that are told apart, so that a hostile neighbour cannot fill the memory with them
 CLOGGED = 64  # waiting messages on a link at which no more surfaces are taken in
 
 # sums of a wave: the counts of node.tables, then these
@@ -160,7 +161,9 @@ class Processor:
             self._refuse(f"link {link.name}: packet {number} of a message: {FAULTS[bad]}")
 
     def _refuse(self, why: str) -> None:
-        """Count what is refused; the next wave reports it."""
+        """Count what is refused; the next wave reports it. Reasons are kept apart only while they are few."""
+        if len(self.refused) >= MOST_REASONS and why not in self.refused:
+            why = f"node {','.join(map(str, self.index))}: for many other reasons"
         self.refused[why] += 1
 
     def _flush(self) -> None:
