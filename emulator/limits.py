@@ -173,8 +173,13 @@ def read_resources(proc: Path = Path("/proc"), cgroups: Path = Path("/sys/fs/cgr
         descriptors=Bound(_process_limit(resource.RLIMIT_NOFILE), "RLIMIT_NOFILE (ulimit -n)"),
         all_files=_all_files(proc),
         tasks=min(_tasks(proc), *_group_bounds(proc, cgroups, "pids")),
-        memory=min(Bound(_meminfo(proc), "the memory available"), *_group_bounds(proc, cgroups, "memory")),
+        memory=read_memory(proc, cgroups),
     )
+
+
+def read_memory(proc: Path = Path("/proc"), cgroups: Path = Path("/sys/fs/cgroup")) -> Bound:
+    """Bytes of memory that this computer has left now. Alone, because the counting of tasks takes ten times as long."""
+    return min(Bound(_meminfo(proc), "the memory available"), *_group_bounds(proc, cgroups, "memory"))
 
 
 def _process_limit(which: int) -> int:

@@ -144,15 +144,18 @@ def sweep(base: str) -> list[str]:
 
 
 def process_mark(pid: int) -> str | None:
-    """What tells process `pid` from all others: id, start time, namespace; None if there is no such process."""
+    """What tells process `pid` from all others: id, start time, namespace.
+
+    None if there is no such process, or one that has ended and whose parent has not asked how.
+    """
     try:
         with open(f"/proc/{pid}/stat", "rb") as file:
             # The second field is the program's name in brackets, and may itself hold blanks and brackets.
             fields = file.read().rpartition(b")")[2].split()
-        started = fields[19].decode()
+        state, started = fields[0], fields[19].decode()
     except (OSError, IndexError):
         return None
-    return f"{pid} {started} {_namespace()}"
+    return None if state in (b"Z", b"X") else f"{pid} {started} {_namespace()}"
 
 
 def process_state(pid: int) -> str:

@@ -5,8 +5,10 @@ What is heavy to import (numba comes with it) is imported after the nursery was 
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +21,7 @@ from raygrid.host.progress import Talk
 if TYPE_CHECKING:
     from raygrid.host.job import Job
     from raygrid.host.picture import Picture
+    from raygrid.host.probing import Probing
     from raygrid.node.faulty import FaultPlan
 
 
@@ -32,6 +35,7 @@ class Request:
     stats     path of the statistics, or None
     profile   whether to say where the nodes' time went
     settings  of `raygrid.host.job.Settings`
+    probe_record, chrome_trace   paths of what probes tell `probe_rate` times a second, or None
     """
 
     scene: str
@@ -47,6 +51,9 @@ class Request:
     quiet: bool
     profile: bool
     settings: dict[str, Any]
+    probe_record: str | None = None
+    chrome_trace: str | None = None
+    probe_rate: float = 10.0
 
 
 def run_render(request: Request) -> None:
@@ -54,8 +61,8 @@ def run_render(request: Request) -> None:
     begun = time.perf_counter()
     check_name(request.scene)
     _check_outputs(request)
-    with Talk(request.quiet) as talk:
-        picture = _render(request, talk, begun)
+    with Talk(request.quiet) as talk, _probing(request) as probing:
+        picture = _render(request, talk, begun, probing)
         for output in request.outputs:
             talk.phase(f"writing {output}")
             picture.save(output, request.transfer)
@@ -77,7 +84,7 @@ def run_render(request: Request) -> None:
         write_result(output)
 
 
-def _render(request: Request, talk: Talk, begun: float) -> Picture:
+def _render(request: Request, talk: Talk, begun: float, probing: Probing | None) -> Picture:
     shape = request.shape
     with Array(
         shape,
@@ -99,12 +106,23 @@ def _render(request: Request, talk: Talk, begun: float) -> Picture:
         from raygrid.host.steady import render_steadily
 
         talk.expect(samples_expected(job))
+        if probing is not None:
+            array.probe(request.probe_rate, probing.take)
         picture = render_steadily(
             array, job, request.budget, talk.watch, attempts=request.attempts, on_fault=talk.fault
         )
         picture.stats["wall_seconds"] |= {"read": round(read - begun, 6), "launch": round(ready - read, 6)}
         talk.phase("ending the processors")
     return picture
+
+
+def _probing(request: Request) -> AbstractContextManager[Probing | None]:
+    """Takes what probes tell, if that is asked for; outside of the array, so that its troubles cost no picture."""
+    if request.probe_record is None and request.chrome_trace is None:
+        return contextlib.nullcontext()
+    from raygrid.host.probing import Probing
+
+    return Probing(request.shape, request.probe_rate, request.probe_record, request.chrome_trace)
 
 
 def _read_job(request: Request, talk: Talk, wait_warm: Callable[[], None]) -> Job:
@@ -124,9 +142,10 @@ def _check_outputs(request: Request) -> None:
     for output in request.outputs:
         check_picture_path(output)
     written = list(request.outputs)
-    if request.stats is not None:
-        check_path(request.stats)
-        written.append(request.stats)
+    for path in (request.stats, request.probe_record, request.chrome_trace):
+        if path is not None:
+            check_path(path)
+            written.append(path)
     check_different(request.scene, written)
 
 

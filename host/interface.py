@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 from raygrid.emulator.array import BATCH, Array
 from raygrid.emulator.driver import BUDGET, PATIENCE
 from raygrid.emulator.limits import parse_shape
+from raygrid.emulator.samples import Sample
 from raygrid.host.job import Settings, make_job
 from raygrid.host.load import load_scene
 from raygrid.host.picture import Picture
@@ -61,6 +63,14 @@ class Machine:
             scene = load_scene(scene)
         job = make_job(scene, self.shape, Settings(**settings))
         return render_steadily(self._array, job, budget, watch, attempts=attempts)
+
+    def probe(self, rate: float, watch: Callable[[Sample], object] | None) -> None:
+        """Let every node tell `rate` times a second how it stands, while the array renders; 0: no more (docs/probes.md).
+
+        watch  called with each `raygrid.emulator.samples.Sample`
+        Raises ProtocolError for a rate that cannot be.
+        """
+        self._array.probe(rate, watch)
 
     def reset(self) -> None:
         """The reset line: drop whatever the array holds or does; afterwards it is empty and ready (`Array.reset`)."""

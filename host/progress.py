@@ -61,6 +61,11 @@ class Talk:
             self._task = self._bar.add_task(what, total=total, detail="")
             self._bar.refresh()  # now, or a short phase would never be seen
 
+    def part(self, done: float, detail: str) -> None:
+        """Say how much of the total of the phase is done."""
+        if self._bar is not None:
+            self._bar.update(self._task, completed=done, detail=detail)
+
     def remark(self, text: str) -> None:
         """A line on the scene or the picture that stays, terminal or not."""
         self._print(f"note: {text}")

@@ -42,6 +42,13 @@ from .usage import peak_memory, private_memory
 from .walk import HOST, PORTS
 
 FLUSH = 256  # packets for which an output is sent although there is work, unless the root says otherwise
+PHASES = {
+    "space": "load",
+    "frame": "trace",
+    "collect": "collect",
+    "report": "idle",
+    "halt": "idle",
+}  # begun by an order
 MOST_REASONS = 100  # that are told apart, so that a hostile neighbour cannot fill the memory with them
 CLOGGED = 64  # waiting messages on a link at which no more surfaces are taken in
 
@@ -83,6 +90,7 @@ class Processor:
         self._gather, self.linger, self._flush_at = 0, 0.0, min(FLUSH, batch)
         self._ports = list(links.items())
         self.choked = self._up = False
+        self.phase = "idle"  # load, trace, collect or idle: for the probes
 
     # --- the thin loop's three calls ---------------------------------------------------------------
 
@@ -224,6 +232,7 @@ class Processor:
 
     def _obey(self, order: dict[str, Any]) -> None:
         do = order.get("do")
+        self.phase = PHASES.get(str(do), self.phase)
         if do == "space":
             self.tracer.set_space(read_space(order, self.shape))
             self._halted = self._built = False
