@@ -19,14 +19,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.node.compiled import kernel
+from raygrid.node.compiled import kernel, part
 from raygrid.node.hierarchy import CHILDREN, COUNT_SHIFT, FIRST_MASK, LEAF_BIT, WORDS, build
 from raygrid.node.holdings import build_surfaces, empty_surfaces
 from raygrid.node.lanes import WIDE
 from raygrid.node.lattice import HALF, SLACK, Space, make_cell, make_space
 from raygrid.node.overlap import surface_meets
 from raygrid.node.packets import LATTICE
-from raygrid.node.surfaces import Batch, Kind, SurfaceSet, merge
+from raygrid.node.surfaces import STORED_AS, Batch, Kind, SurfaceSet, merge
 from raygrid.node.tables import KIND_SHIFT, Surfaces
 
 Long = NDArray[np.int64]
@@ -50,17 +50,64 @@ def ordered(surfaces: SurfaceSet) -> SurfaceSet:
     return SurfaceSet(tuple(batch.select(np.argsort(batch.ids)) for batch in merge(surfaces)))
 
 
+class Described(NamedTuple):
+    """All surfaces of a scene in tables of one type, so that kernels are compiled once; in the order of `ordered`.
+
+    kinds   int64 (n,); rows int64 (n,) of the batch of that kind
+    table   float64 (n, 18): the numbers of all but polygons
+    points  float64 (points, 3) of polygons; starts int64 (n + 1,): where those of surface k begin
+    boxes   float64 (n, 2, 3); sizes int64 (n,), bytes of the description
+    """
+
+    kinds: Long
+    rows: Long
+    table: NDArray[np.float64]
+    points: NDArray[np.float64]
+    starts: Long
+    boxes: NDArray[np.float64]
+    sizes: Long
+
+
+NAMED = 6  # bytes of a description's id and material
+
+
+def described(surfaces: SurfaceSet) -> Described:
+    """The surfaces, which must be `ordered`, at most one batch a kind."""
+    n = len(surfaces)
+    kinds, rows, sizes = np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64)
+    table, starts, boxes = np.zeros((n, 18)), np.zeros(n + 1, np.int64), np.zeros((n, 2, 3))
+    points, first = np.zeros((1, 3)), 0
+    for batch in surfaces:
+        last = first + len(batch)
+        kinds[first:last], rows[first:last], boxes[first:last] = int(batch.kind), np.arange(len(batch)), batch.bounds()
+        if batch.kind == Kind.POLYGON:
+            points, starts[first : last + 1] = np.ascontiguousarray(batch.data, np.float64), batch.starts
+            sizes[first:last] = NAMED + 4 + 24 * np.diff(batch.starts)
+        else:
+            table[first:last, : batch.data.shape[1]] = batch.data
+            sizes[first:last] = NAMED + batch.data.shape[1] * np.dtype(STORED_AS[batch.kind]).itemsize
+        first = last
+    return Described(kinds, rows, table, points, starts, boxes, sizes)
+
+
+@part
+def described_meets(every, surface, low, high, scratch):
+    """Whether a surface meets the box low..high, already widened. `scratch`: float64 (3, 3)."""
+    data = every.points if every.kinds[surface] == 2 else every.table
+    return surface_meets(every.kinds[surface], data, every.starts, every.boxes, surface, low, high, scratch)
+
+
 @kernel
-def _touched(kind, data, starts, boxes, low_at, high_at, shape, cells, rows):
-    """Write (cell, row) of each surface and cell that meet, as many as there is room for; returns how many do."""
-    points, low, high = np.empty((3, 3)), np.empty(3), np.empty(3)
+def _touched(every, low_at, high_at, shape, cells, surfaces):
+    """Write (cell, surface) of each surface and cell that meet, as many as there is room for; returns how many do."""
+    scratch, low, high = np.empty((3, 3)), np.empty(3), np.empty(3)
     first, last = np.empty(3, np.int64), np.empty(3, np.int64)
     found = 0
-    for row in range(len(boxes)):
+    for surface in range(len(every.kinds)):
         for axis in range(3):
             first[axis], last[axis] = shape[axis], -1
             for k in range(shape[axis]):
-                if low_at[axis, k] <= boxes[row, 1, axis] and high_at[axis, k] >= boxes[row, 0, axis]:
+                if low_at[axis, k] <= every.boxes[surface, 1, axis] and high_at[axis, k] >= every.boxes[surface, 0, axis]:
                     first[axis], last[axis] = min(first[axis], k), k
         for z in range(first[2], last[2] + 1):
             low[2], high[2] = low_at[2, z], high_at[2, z]
@@ -68,9 +115,9 @@ def _touched(kind, data, starts, boxes, low_at, high_at, shape, cells, rows):
                 low[1], high[1] = low_at[1, y], high_at[1, y]
                 for x in range(first[0], last[0] + 1):
                     low[0], high[0] = low_at[0, x], high_at[0, x]
-                    if surface_meets(kind, data, starts, boxes, row, low, high, points):
+                    if described_meets(every, surface, low, high, scratch):
                         if found < len(cells):
-                            cells[found], rows[found] = (z * shape[1] + y) * shape[0] + x, row
+                            cells[found], surfaces[found] = (z * shape[1] + y) * shape[0] + x, surface
                         found += 1
     return found
 
@@ -83,22 +130,18 @@ def holdings(surfaces: SurfaceSet, space: Space) -> Holdings:
         planes = (space.planes[axis, : space.shape[axis] + 1] - HALF) * space.step[axis]
         low_at[axis, : space.shape[axis]] = planes[:-1] - SLACK
         high_at[axis, : space.shape[axis]] = planes[1:] + SLACK
-    found: list[tuple[Long, Long, Long]] = []
-    for batch in surfaces:
-        flat = batch.kind in (Kind.TRIANGLE, Kind.SMOOTH)
-        data = np.require(batch.data if flat else batch.data.astype(np.float64), requirements=["C", "W"])
-        starts = batch.starts if batch.kind == Kind.POLYGON else np.zeros(1, np.int64)
-        many, room = 8 * len(batch), 0
-        while many > room:
-            room = many
-            cells, rows = np.empty(room, np.int64), np.empty(room, np.int64)
-            many = _touched(int(batch.kind), data, starts, batch.bounds(), low_at, high_at, space.shape, cells, rows)
-        found.append((cells[:many], np.full(many, int(batch.kind), np.int64), rows[:many]))
-    cells, kinds, rows = (np.concatenate(column) for column in zip(*found, strict=True))
-    order = np.lexsort((rows, kinds, cells))
+    every = described(surfaces)
+    many, room = 8 * len(surfaces), 0
+    while many > room:
+        room = many
+        cells, found = np.empty(room, np.int64), np.empty(room, np.int64)
+        many = _touched(every, low_at, high_at, space.shape, cells, found)
+    cells, found = cells[:many], found[:many]
+    order = np.lexsort((found, cells))
+    kinds, rows = every.kinds[found[order]], every.rows[found[order]]
     held = np.zeros((nx * ny * nz, len(Kind)), np.int64)
-    np.add.at(held, (cells, kinds), 1)
-    return Holdings(cells[order], kinds[order], rows[order], held)
+    np.add.at(held, (cells[order], kinds), 1)
+    return Holdings(cells[order], kinds, rows, held)
 
 
 def whole_world(space: Space) -> Space:

@@ -30,8 +30,18 @@ Examples:
   raygrid render scenes/room.glb
   raygrid render scenes/glass.toml --array 3x3x3 --size 800x600 --samples 4 -o glass.png
   raygrid render balls.nff --split uniform -o balls.npy --stats balls.json
+  raygrid simulate balls.nff --array 10x10x10 --cost 8086
   raygrid info scenes/room.glb
   raygrid export scenes/kinds.nff -o kinds.pov
+"""
+SIMULATE_EXAMPLES = """\b
+Examples:
+  raygrid simulate scenes/room.glb --array 10x10x10 --cost 8086
+  raygrid simulate tetra_6.nff --array 50x50x50 --size 1000x1000 --split uniform --no-band -o tetra.png
+  raygrid simulate scenes/kinds.nff --array 4x4x1 --cost t800 --search tree --stats kinds.json --csv nodes.csv --plots .
+
+Machine seconds are those of the machine that the cost model describes. docs/machine-time.md says how time is counted,
+docs/costs.md what the cost models mean and where they come from.
 """
 RENDER_EXAMPLES = """\b
 Examples:
@@ -164,6 +174,50 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
     names = ("batch", "budget", "transfer", "stats", "patience", "quiet")
     machine = {name: options.pop(name) for name in names}
     run_render(Request(scene, shape, outputs or default_outputs(scene), **machine, settings=options))
+
+
+# fmt: off
+@cli.command(epilog=SIMULATE_EXAMPLES)
+@click.argument("scene")
+@click.option("--array", "shape", type=Shape(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
+              help="Processors on each axis: 50x50x50 and more.")
+@click.option("--cost", default="8086", show_default=True, metavar="MODEL",
+              help="What work costs in ticks: 8086, 8086-soft, t800, unit, modern, or a .toml file.")
+@click.option("--search", type=click.Choice(["list", "tree"]),
+              help="How a node looks for hits: tests all it holds, or walks its hierarchy.  [default: the cost model's]")
+@click.option("--band/--no-band", default=True, show_default=True,
+              help="Low and high costs, too: three frames instead of one.")
+@click.option("--size", type=Pair(), metavar="WxH", help="As for render.")
+@click.option("--samples", type=Number(1, 1 << 32), metavar="N", help="As for render.")
+@click.option("--depth", type=Number(1, 31), metavar="N", help="As for render.")
+@click.option("--min-weight", type=Number(0.0, 1e30), metavar="WEIGHT", help="As for render.")
+@click.option("--highlights/--no-highlights", default=None, help="As for render.")
+@click.option("--split", type=click.Choice(["balanced", "uniform"]), default="balanced", show_default=True,
+              help="As for render.")
+@click.option("--transfer", type=click.Choice(["srgb", "linear"]), default="srgb", show_default=True,
+              help="As for render.")
+@click.option("-o", "--output", "outputs", multiple=True, type=click.Path(), metavar="FILE",
+              help="Picture, or .npy of the exact sums: the same bits as from render; may be repeated.")
+@click.option("--stats", type=click.Path(), metavar="FILE", help="Write what the machine did as JSON.")
+@click.option("--csv", "table", type=click.Path(), metavar="FILE", help="Write a row for each processor.")
+@click.option("--plots", type=click.Path(), metavar="FOLDER",
+              help="Write busy.png, links.png and time.png there (needs the extra `plots`).")
+@click.option("-q", "--quiet", is_flag=True, help="No talk but errors and results.")
+@_debug_option
+def simulate(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **options: Any) -> None:
+    """Simulate an array in machine time: how long a frame would take, and why.
+
+    All processors are simulated in one process, with the ray step, the packets and the walk of the real ones, so the
+    picture is the same, and so are the ticks of render --timed.
+
+    SCENE is a file of one of these kinds: .nff .obj .ply .stl .glb .gltf .toml
+    """
+    from raygrid.host.command_simulate import Request, run_simulate
+
+    names = ("cost", "search", "band", "stats", "table", "plots", "transfer", "quiet")
+    chosen = {name: options.pop(name) for name in names}
+    run_simulate(Request(scene, shape, outputs=outputs, **chosen, settings=options))
+# fmt: on
 
 
 @cli.command(epilog=INFO_EXAMPLES)

@@ -52,7 +52,7 @@ def render_job(
         timed("load", lambda: driver.load(job.space, job.surfaces))
     progress = timed("trace", lambda: driver.trace(job.frame, budget, tell))
     sums, samples = timed("collect", lambda: driver.collect(job.pixels))
-    _add_misses(job, sums, samples)
+    add_misses(job, sums, samples)
     frame = job.frame
     stats = make_stats(job, driver, progress, seconds)
     return Picture(sums.reshape(frame.height, frame.width, 3), frame.samples, stats)
@@ -90,7 +90,7 @@ def _check_missing(job: Job, missing: NDArray[np.int64]) -> None:
         raise ArrayError(f"pixel {pixel} came without all its samples, though its rays enter the world box")
 
 
-def _add_misses(job: Job, sums: NDArray[np.int64], samples: NDArray[np.int64]) -> None:
+def add_misses(job: Job, sums: NDArray[np.int64], samples: NDArray[np.int64]) -> None:
     """Add what the samples see whose rays never enter the world box; no home counts them."""
     frame = job.frame
     missing = frame.samples - samples

@@ -57,7 +57,8 @@ LIST_TICKS = 39  # what a walk costs beside its price: tests of every surface he
 PACKETS_SENT = 40  # by each port and to the host
 NEXT_BIRTH, LAST_BIRTH = 47, 48  # the simulator's place in the list of samples
 WAKE, BEFORE, AFTER = 49, 50, 51  # the simulator's wheel
-FIELDS = 52
+WALKED = 52  # rays walked through the cell
+FIELDS = 53
 
 
 class Prices(NamedTuple):
@@ -224,6 +225,7 @@ def serve(timed, node, slot, tick, cell, space, frame, surfaces, pixels, outputs
     ticks = prices.packet + timed.nodes[node, LIST_TICKS] * counts[WALKS]
     for k in range(COUNTS):
         ticks += prices.counts[k] * counts[k]
+    timed.nodes[node, WALKED] += counts[WALKS]
     done = tick + ticks
     sent = np.int64(0)
     for output in range(PORTS + 1):
