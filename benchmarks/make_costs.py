@@ -147,7 +147,7 @@ NAMES = {
         (1, 1, 1),
     ),
     "modern": (
-        "a core of a computer of the 2020s, measured: nanoseconds of raygrid's own processes (emulator/work.py), links of 10 Gbit/s",
+        "a core of a computer of the 2020s, as raygrid was measured (emulator/work.py): nanoseconds; links of 10 Gbit/s",
         1_000_000_000,
         "tree",
         "link",

@@ -42,6 +42,7 @@ class Array:
     shape    processors on each axis
     batch    most packets a message, 1 or more
     patience seconds without any progress after which the array is taken to hang (`driver.PATIENCE`)
+    timed    whether nodes can keep machine time (`node.timed_processor`)
     """
 
     def __init__(
@@ -50,8 +51,10 @@ class Array:
         batch: int = BATCH,
         patience: float | None = None,
         on_warming: Callable[[int, int, str], None] | None = None,
+        timed: bool = False,
     ) -> None:
         check_fits(shape)
+        self.timed = timed
         self.shape, self.batch, self.patience = shape, batch, patience
         self._on_warming = on_warming
         self._nursery: Nursery | None = None
@@ -86,7 +89,8 @@ class Array:
     def begin(self) -> None:
         """Start the nursery, which warms up while the caller does other things."""
         self._place = Place.create(self.shape)
-        self._nursery = Nursery.start(on_warming=self._on_warming, directory=self._place.path)
+        warm = "raygrid.emulator.warm:warm_timed" if self.timed else "raygrid.emulator.warm:warm"
+        self._nursery = Nursery.start(warm=warm, on_warming=self._on_warming, directory=self._place.path)
 
     def wait_warm(self) -> None:
         """Wait until the nursery has every kernel, and all that it compiled is in the cache on disk."""
@@ -141,6 +145,7 @@ class Array:
                 "epoch": EPOCH,
                 "machine": machine,
                 "batch": self.batch,
+                "timed": self.timed,
                 "links": links[index],
             }
             for index in indices(self.shape)

@@ -68,4 +68,6 @@ def order_of_pixels(frame: Frame, samples: NDArray[np.uint32], borders: Long) ->
     every = np.unique(nodes * np.int64(frame.width * frame.height) + pixels)
     node_of = every // (frame.width * frame.height)
     counts = np.bincount(node_of, minlength=len(borders) - 1)
-    return (every % (frame.width * frame.height)).astype(np.uint32), np.concatenate(([0], np.cumsum(counts))).astype(np.int64)
+    return (every % (frame.width * frame.height)).astype(np.uint32), np.concatenate(([0], np.cumsum(counts))).astype(
+        np.int64
+    )

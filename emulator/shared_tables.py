@@ -107,7 +107,10 @@ def _touched(every, low_at, high_at, shape, cells, surfaces):
         for axis in range(3):
             first[axis], last[axis] = shape[axis], -1
             for k in range(shape[axis]):
-                if low_at[axis, k] <= every.boxes[surface, 1, axis] and high_at[axis, k] >= every.boxes[surface, 0, axis]:
+                if (
+                    low_at[axis, k] <= every.boxes[surface, 1, axis]
+                    and high_at[axis, k] >= every.boxes[surface, 0, axis]
+                ):
                     first[axis], last[axis] = min(first[axis], k), k
         for z in range(first[2], last[2] + 1):
             low[2], high[2] = low_at[2, z], high_at[2, z]
@@ -197,9 +200,7 @@ def trees(surfaces: SurfaceSet, space: Space, held: Holdings) -> tuple[Surfaces,
     return _gathered(by_kind, held.kinds[order], held.rows[order], made), roots
 
 
-def _gathered(
-    by_kind: dict[Kind, Batch], kinds: Long, rows: Long, made: list[NDArray[np.float32]]
-) -> Surfaces:
+def _gathered(by_kind: dict[Kind, Batch], kinds: Long, rows: Long, made: list[NDArray[np.float32]]) -> Surfaces:
     """The tables of surfaces in the order of the leaves of all hierarchies; a surface is there once for each cell."""
     floats = np.concatenate([np.zeros((0, WORDS), np.float32), *made])
     items = kinds.astype(np.uint32) << np.uint32(KIND_SHIFT)

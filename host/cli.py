@@ -162,6 +162,9 @@ def cli() -> None:
 @click.option("--stats", type=click.Path(), metavar="FILE", help="Write what the machine did as JSON.")
 @click.option("--patience", type=Number(0.1, 1e9), default=30.0, show_default=True, metavar="SECONDS",
               help="Time without any progress after which the array is taken to hang.")
+@click.option("--timed", is_flag=True, help="Keep machine time, too: ticks in --stats. Slow; see docs/machine-time.md.")
+@click.option("--cost", metavar="MODEL", help="With --timed, what work costs; as for simulate.  [default: 8086]")
+@click.option("--search", type=click.Choice(["list", "tree"]), help="With --timed; as for simulate.")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors. (Without a terminal there is hardly any.)")
 @_debug_option
 def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **options: Any) -> None:
@@ -173,6 +176,10 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
 
     names = ("batch", "budget", "transfer", "stats", "patience", "quiet")
     machine = {name: options.pop(name) for name in names}
+    timed, cost, search = (options.pop(name) for name in ("timed", "cost", "search"))
+    if not timed and (cost or search):
+        raise click.UsageError("--cost and --search came without --timed")
+    machine |= {"cost": (cost or "8086") if timed else None, "search": search}
     run_render(Request(scene, shape, outputs or default_outputs(scene), **machine, settings=options))
 
 
@@ -242,7 +249,11 @@ def info(scene: str, as_json: bool) -> None:
 @click.option("--depth", type=Number(1, 31), metavar="N", help="As for render.  [default: the scene's, else 5]")
 @click.option("--highlights/--no-highlights", default=None, help="As for render.  [default: off for NFF, else on]")
 @click.option(
-    "-o", "--output", type=click.Path(), metavar="FILE", help="File to write.  [default: the scene's name with .pov, here]"
+    "-o",
+    "--output",
+    type=click.Path(),
+    metavar="FILE",
+    help="File to write.  [default: the scene's name with .pov, here]",
 )
 @_debug_option
 def export(scene: str, depth: int | None, highlights: bool | None, output: str | None) -> None:
@@ -266,7 +277,11 @@ def _lines(facts: dict[str, Any], indent: str = "") -> Iterator[str]:
         elif isinstance(value, list) and value and isinstance(value[0], dict | str):
             yield label
             for item in value:
-                yield indent + "  " + (item if isinstance(item, str) else ", ".join(f"{k} {_short(v)}" for k, v in item.items()))
+                yield (
+                    indent
+                    + "  "
+                    + (item if isinstance(item, str) else ", ".join(f"{k} {_short(v)}" for k, v in item.items()))
+                )
         else:
             yield f"{label} {_short(value)}"
 

@@ -30,6 +30,8 @@ class Request:
     outputs   paths of pictures and sums
     stats     path of the statistics, or None
     settings  of `raygrid.host.job.Settings`
+    cost      a cost model for machine time, or None: no machine time is kept
+    search    list, tree, or None: as the cost model says
     """
 
     scene: str
@@ -42,12 +44,16 @@ class Request:
     patience: float
     quiet: bool
     settings: dict[str, Any]
+    cost: str | None = None
+    search: str | None = None
 
 
 def run_render(request: Request) -> None:
     """Launch, read, load, trace, collect, write. Raises RaygridError."""
     begun = time.perf_counter()
     check_name(request.scene)
+    if request.cost is not None:
+        _prices(request.cost, request.search)
     _check_outputs(request)
     with Talk(request.quiet) as talk:
         picture = _render(request, talk, begun)
@@ -70,7 +76,9 @@ def run_render(request: Request) -> None:
 
 def _render(request: Request, talk: Talk, begun: float) -> Picture:
     shape = request.shape
-    with Array(shape, batch=request.batch, patience=request.patience, on_warming=talk.warming) as array:
+    with Array(
+        shape, batch=request.batch, patience=request.patience, on_warming=talk.warming, timed=request.cost is not None
+    ) as array:
         array.begin()
         talk.phase(f"reading {request.scene}")
         job = _read_job(request, talk, array.wait_warm)
@@ -83,10 +91,21 @@ def _render(request: Request, talk: Talk, begun: float) -> Picture:
         from raygrid.host.render import render_job
 
         talk.expect(samples_expected(job))
-        picture = render_job(array.driver, job, request.budget, talk.watch)
+        cost = None if request.cost is None else _prices(request.cost, request.search)
+        picture = render_job(array.driver, job, request.budget, talk.watch, prices=cost)
         picture.stats["wall_seconds"] |= {"read": round(read - begun, 6), "launch": round(ready - read, 6)}
         talk.phase("ending the processors")
     return picture
+
+
+def _prices(name: str, search: str | None) -> dict[str, Any]:
+    """The middle prices of a cost model as an order carries them. Raises CostError."""
+    from raygrid.host.cost_models import load_cost_model
+    from raygrid.node.stamped import prices_order
+
+    cost = load_cost_model(name)
+    chosen = search or cost.file.search
+    return prices_order(cost.prices("middle", chosen), cost.tests("middle") * (chosen == "list"))
 
 
 def _read_job(request: Request, talk: Talk, wait_warm: Callable[[], None]) -> Job:
@@ -117,14 +136,16 @@ def default_outputs(scene: str) -> tuple[str, ...]:
     return (Path(scene).stem + ".png",)
 
 
-def _summary(picture: Picture) -> tuple[str, str]:
+def _summary(picture: Picture) -> tuple[str, ...]:
     """What was traced, and the wall seconds of this computer (not of the machine of 1983)."""
     from raygrid.host.stats import ray_counts
 
     seconds, counts = picture.stats["wall_seconds"], ray_counts(picture.stats)
     rays = ", ".join(f"{count:,} {kind}" for kind, count in counts.items() if count) or "no"
     rate = sum(counts.values()) / max(seconds["trace"], 1e-9) / 1e6
+    machine = (f"{picture.stats['ticks']:,} ticks of machine time",) if "ticks" in picture.stats else ()
     return (
+        *machine,
         f"{rays} rays; {picture.stats['total']['hops']:,} hops",
         f"traced in {seconds['trace']:.2f} s of wall time ({rate:.2f} million rays/s), {seconds['whole']:.2f} s in all",
     )

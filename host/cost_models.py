@@ -166,7 +166,9 @@ def load_cost_model(name: str) -> CostModel:
     """A built-in model by its name, or one from a file whose name ends in .toml. Raises CostError."""
     if not name.endswith(".toml"):
         if name not in built_in():
-            raise CostError(f"a cost model came as {shown(name)}, wanted one of {', '.join(built_in())} or a .toml file")
+            raise CostError(
+                f"a cost model came as {shown(name)}, wanted one of {', '.join(built_in())} or a .toml file"
+            )
         text = (resources.files("raygrid.emulator") / "costs" / f"{name}.toml").read_text("utf-8")
         return CostModel(name, _checked(Path(f"{name}.toml"), text))
     path = Path(name)

@@ -53,9 +53,18 @@ def open_links(config: dict[str, Any], channels: dict[int, Any]) -> dict[int, Li
     return links
 
 
+def processor_class(config: dict[str, Any]) -> type[Processor]:
+    """What a node is: one that keeps machine time if the array is `timed`."""
+    if not config.get("timed", False):
+        return Processor
+    from .timed_processor import TimedProcessor
+
+    return TimedProcessor
+
+
 def _serve(config: dict[str, Any], pairs: dict[int, Pair], life: int) -> None:
     index, shape = tuple(config["index"]), tuple(config["shape"])
-    processor = Processor(index, shape, open_links(config, pairs), config["batch"])
+    processor = processor_class(config)(index, shape, open_links(config, pairs), config["batch"])
     ports = {pair.socket: port for port, pair in pairs.items()}
     poller = zmq.Poller()
     for socket in ports:

@@ -283,10 +283,10 @@ class Stamps(NamedTuple):
 
 
 @lean
-def insert(timed, queue, port, ticks, packets, at, count):
+def insert(timed, port, ticks, packets, at, count):
     """Append `count` packets (25 bytes each from byte `at`) that came by a port with their ticks, int64 (count,)."""
     for k in range(count):
-        put(timed, 0, queue, ticks[k], port, 0, packets, at + k * SIZE)
+        put(timed, 0, port, ticks[k], port, 0, packets, at + k * SIZE)
 
 
 @lean
@@ -296,7 +296,9 @@ def next_decision(timed, may_bear):
 
 
 @lean
-def advance(timed, horizon, cell, space, frame, surfaces, pixels, cursor, scratch, outputs, stamps, counts, total, prices):
+def advance(
+    timed, horizon, cell, space, frame, surfaces, pixels, cursor, scratch, outputs, stamps, counts, total, prices
+):
     """Carry out all decisions before tick `horizon`; IDLE, BLOCKED or FULL.
 
     scratch  uint8 (25,), a new primary ray; counts, total: int64 (COUNTS,), of a service and of the frame
