@@ -43,6 +43,13 @@ Examples:
 Machine seconds are those of the machine that the cost model describes. docs/machine-time.md says how time is counted,
 docs/costs.md what the cost models mean and where they come from.
 """
+LAW_EXAMPLES = """\b
+Examples:
+  raygrid law tetra_6.nff --cost 8086
+  raygrid law tetra_5.nff mount_4.nff --square 1,2,4,8,16,32 --cubic 1,2,4,8,10 --size 32x32 --size 64x64 -o report
+
+Writes law.md, law.csv and a plot for each scene. docs/paper.md says what came out for the standard scenes.
+"""
 RENDER_EXAMPLES = """\b
 Examples:
   raygrid render scenes/room.glb
@@ -95,6 +102,21 @@ class Shape(AnyType):
             return parse_shape(str(value))
         except ValueError as error:
             self.fail(str(error), param, ctx)
+
+
+class Edges(AnyType):
+    """Edges of arrays, `1,2,4,8`."""
+
+    name = "edges"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
+        """Raises a usage error for anything but whole numbers of 1 to 1024 between commas."""
+        if isinstance(value, tuple):
+            return value
+        words = [word.strip() for word in str(value).split(",")]
+        if not all(word.isascii() and word.isdigit() and len(word) < 5 and 1 <= int(word) <= 1024 for word in words):
+            self.fail(f"{_shorten(value)} came, wanted edges of 1 to 1024 such as 1,2,4,8", param, ctx)
+        return tuple(sorted({int(word) for word in words}))
 
 
 class Number(AnyType):
@@ -224,6 +246,42 @@ def simulate(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], 
     names = ("cost", "search", "band", "stats", "table", "plots", "transfer", "quiet")
     chosen = {name: options.pop(name) for name in names}
     run_simulate(Request(scene, shape, outputs=outputs, **chosen, settings=options))
+
+
+@cli.command(epilog=LAW_EXAMPLES)
+@click.argument("scenes", nargs=-1, required=True)
+@click.option("--cost", default="8086", show_default=True, metavar="MODEL", help="As for simulate.")
+@click.option("--search", type=click.Choice(["list", "tree"]), help="As for simulate.")
+@click.option("--square", type=Edges(), default="1,2,3,4,6,8,12,16,24,32", show_default=True, metavar="N,N,...",
+              help="Edges of square arrays.")
+@click.option("--cubic", type=Edges(), default="1,2,3,4,6,8,10", show_default=True, metavar="N,N,...",
+              help="Edges of cubic arrays.")
+@click.option("--size", "pictures", type=Pair(), multiple=True, metavar="WxH",
+              help="Pixels, for the number of rays; may be repeated.  [default: 32x32, 64x64, 128x128]")
+@click.option("--axis", type=click.Choice(["x", "y", "z", "view"]), default="view", show_default=True,
+              help="The axis that square arrays leave whole; view: the one along which the camera looks.")
+@click.option("--depth", type=Number(1, 31), metavar="N", help="As for render.")
+@click.option("--split", type=click.Choice(["balanced", "uniform"]), default="uniform", show_default=True,
+              help="As for render.")
+@click.option("-o", "--output", "folder", type=click.Path(), default="law", show_default=True, metavar="FOLDER",
+              help="Where the report goes.")
+@click.option("-q", "--quiet", is_flag=True, help="No talk but errors and results.")
+@_debug_option
+def law(scenes: tuple[str, ...], folder: str, **options: Any) -> None:
+    """Fit the law of 1983 to simulated frames: T = A + B n + C R / n^2 on n x n processors, C R / n^3 on n x n x n.
+
+    Simulates every array with every picture, says how well the law holds, which size is best, and whether a square or
+    a cubic array does better with as many processors (needs the extra `law`).
+    """
+    from raygrid.host.command_law import Request, run_law
+
+    pictures = options["pictures"] or ((32, 32), (64, 64), (128, 128))
+    along = None if options["axis"] == "view" else "xyz".index(options["axis"])
+    settings = {name: options[name] for name in ("depth", "split") if options[name] is not None}
+    edges = {"square": options["square"], "cubic": options["cubic"]}
+    command = " ".join(["raygrid", *sys.argv[1:]])
+    cost, search, quiet = options["cost"], options["search"], options["quiet"]
+    run_law(Request(scenes, cost, search, edges, pictures, along, folder, quiet, command, settings))
 # fmt: on
 
 
