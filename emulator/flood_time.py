@@ -73,7 +73,7 @@ def _flood(every, corner_of, planes, shape, description, hand_on, transmit, late
         dealt[corner] += -(-every.sizes[surface] * transmit // SIZE)
         events.append((dealt[corner] + latency, np.int64(HOST), np.int64(surface), node, np.int64(surface)))
     heapq.heapify(events)
-    sequence, visits, last = np.int64(len(corner_of)), 0, np.int64(0)
+    sequence, visits, last = len(corner_of), 0, np.int64(0)
     while len(events) > 0:
         tick, _, _, node, surface = heapq.heappop(events)
         visits += 1

@@ -14,15 +14,15 @@ in one set of tables.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.node.compiled import kernel, part
-from raygrid.node.hierarchy import CHILDREN, COUNT_SHIFT, FIRST_MASK, LEAF_BIT, WORDS, build
+from raygrid.node.hierarchy import COUNT_SHIFT, FIRST_MASK, LEAF_BIT, WORDS, build
 from raygrid.node.holdings import build_surfaces, empty_surfaces
-from raygrid.node.lanes import WIDE
+from raygrid.node.lanes import CHILDREN, WIDE
 from raygrid.node.lattice import HALF, SLACK, Space, make_cell, make_space
 from raygrid.node.overlap import surface_meets
 from raygrid.node.packets import LATTICE
@@ -205,7 +205,7 @@ def _gathered(by_kind: dict[Kind, Batch], kinds: Long, rows: Long, made: list[ND
     floats = np.concatenate([np.zeros((0, WORDS), np.float32), *made])
     items = kinds.astype(np.uint32) << np.uint32(KIND_SHIFT)
     ids, materials = np.zeros(len(kinds), np.uint32), np.zeros(len(kinds), np.uint16)
-    columns: dict[str, NDArray[np.generic]] = {}
+    columns: dict[str, Any] = {}
     cones = 0
     for kind in Kind:
         mine = kinds == kind
@@ -240,7 +240,7 @@ def _alone(batch: Batch) -> Surfaces:
     return built._replace(**tables)
 
 
-def _tables_of(kind: Kind, built: Surfaces) -> dict[str, NDArray[np.generic]]:
+def _tables_of(kind: Kind, built: Surfaces) -> dict[str, Any]:
     names = {
         Kind.TRIANGLE: ("triangles",),
         Kind.SMOOTH: ("smooth",),

@@ -67,7 +67,14 @@ def _run(request: Request, talk: Talk) -> list[str]:
     with compiling(talk):
         for scene in scenes:
             points += sweep(
-                scene, cost, request.sizes, request.pictures, request.search, request.along, request.settings, talk.phase
+                scene,
+                cost,
+                request.sizes,
+                request.pictures,
+                request.search,
+                request.along,
+                request.settings,
+                talk.phase,
             )
     talk.phase("fitting")
     return write_report(request.folder, points, fits_of(points), cost, request.command)

@@ -4,7 +4,8 @@
 
 n is the edge of the array, R the number of primary rays. A is there whatever the size, B n grows with the way that
 packets go, C R / n^2 is the work of the rays shared out. Fitted by least squares of relative residuals, all of A, B and
-C at least 0, with confidence bounds from the covariance of the fit. Needs the extra `law`.
+C at least 0, with confidence bounds from the covariance of the fit. How well the third term holds is told by a fit in
+which its power of n is free. Needs the extra `law`.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ F64 = NDArray[np.float64]
 KINDS = {"square": 2, "cubic": 3}  # and how many edges its processors have
 CONFIDENCE = 0.95
 LEAST_POINTS = 4  # of a fit of three numbers
+POWERS = np.arange(0.0, 6.001, 0.02)  # that are tried for the third term
 
 
 @dataclass(frozen=True)
@@ -57,8 +59,11 @@ class Point:
 class Fit:
     """What was fitted to the points of one scene and kind.
 
-    values, bounds   A, B and C in seconds, and by how much each may be off at CONFIDENCE (float64 (3,) each)
+    values, bounds   A, B and C in seconds, and by how much each may be off at CONFIDENCE (float64 (3,) each); one that
+                     is held at 0 has the bound 0
     r2               of T; residuals float64 (points,): (T - fit) / T
+    power            with which the third term falls with n if that is fitted, too, and the range of it at CONFIDENCE:
+                     what a law would be that these frames follow best, 2 or 3 by the law of 1983
     """
 
     kind: str
@@ -66,11 +71,12 @@ class Fit:
     bounds: F64
     r2: float
     residuals: F64
+    power: tuple[float, float, float]
     points: tuple[Point, ...]
 
     def time(self, n: Any, rays: Any) -> Any:
         """Seconds by the law."""
-        return law(self.kind, n, rays) @ self.values
+        return law(KINDS[self.kind], n, rays) @ self.values
 
     def best(self, rays: int) -> float:
         """The edge of the array with the least time by the law; infinite if no part of it grows with n."""
@@ -80,41 +86,51 @@ class Fit:
         return float((power * self.values[2] * rays / self.values[1]) ** (1.0 / (power + 1)))
 
 
-def law(kind: str, n: Any, rays: Any) -> F64:
-    """The three terms without their factors, float64 (..., 3)."""
+def law(power: float, n: Any, rays: Any) -> F64:
+    """The three terms without their factors, 1, n and rays / n^power: float64 (..., 3)."""
     n, rays = np.broadcast_arrays(np.asarray(n, np.float64), np.asarray(rays, np.float64))
-    return np.stack((np.ones_like(n), n, rays / n ** KINDS[kind]), axis=-1)
+    return np.stack((np.ones_like(n), n, rays / n**power), axis=-1)
+
+
+def _solved(points: Sequence[Point], power: float) -> tuple[F64, float, F64]:
+    """(values, sum of squares of relative residuals, the terms over T): least squares with no value below 0."""
+    from scipy.optimize import nnls
+
+    times = np.array([point.seconds for point in points])
+    over = law(power, [point.n for point in points], [point.rays for point in points]) / times[:, None]
+    size = np.linalg.norm(over, axis=0)
+    values, rest = nnls(over / size, np.ones(len(points)))
+    return values / size, float(rest) ** 2, over
 
 
 def fit(points: Sequence[Point]) -> Fit:
     """Fit the law to points of one kind. Raises OutputError for too few of them, or without scipy."""
     try:
-        from scipy.optimize import curve_fit
-        from scipy.stats import t as student
+        from scipy.stats import f, t
     except ImportError:
         raise OutputError("the law needs scipy: pip install 'raygrid[law]'") from None
-    kind = points[0].kind
-    if len(points) < LEAST_POINTS or len({point.n for point in points}) < LEAST_POINTS - 1:
+    kind, sizes = points[0].kind, len({point.n for point in points})
+    if len(points) < LEAST_POINTS or sizes < LEAST_POINTS - 1:
         raise OutputError(
-            f"a fit of the {kind} law came with {len(points)} frames of {len({point.n for point in points})} sizes, "
+            f"a fit of the {kind} law came with {len(points)} frames of {sizes} sizes, "
             f"wanted {LEAST_POINTS} or more of {LEAST_POINTS - 1} sizes"
         )
+    values, squares, over = _solved(points, KINDS[kind])
+    active = values > 0.0
+    freedom = len(points) - int(active.sum())
+    bounds = np.zeros(3)
+    covariance = np.linalg.pinv(over[:, active].T @ over[:, active]) * squares / freedom
+    bounds[active] = np.sqrt(np.diag(covariance)) * t.ppf((1.0 + CONFIDENCE) / 2.0, freedom)
     times = np.array([point.seconds for point in points])
-    terms = law(kind, [point.n for point in points], [point.rays for point in points])
-    scale = times.max() / np.maximum(terms.max(axis=0), 1e-300)  # so that the three numbers are of one size
-
-    def model(scaled: F64, *values: float) -> F64:
-        return np.asarray(scaled @ np.array(values), np.float64)
-
-    found, covariance = curve_fit(
-        model, terms * scale, times, p0=[0.1, 0.1, 0.9], sigma=times, bounds=(0.0, np.inf), x_scale=1.0
-    )
-    off = np.sqrt(np.clip(np.diag(covariance), 0.0, None)) * student.ppf((1 + CONFIDENCE) / 2, len(points) - 3)
-    values, bounds = found * scale, off * scale
-    guessed = terms @ values
+    residuals = 1.0 - over @ values
     spread = float(np.sum((times - times.mean()) ** 2))
-    r2 = 1.0 - float(np.sum((times - guessed) ** 2)) / max(spread, 1e-300)
-    return Fit(kind, values, bounds, r2, (times - guessed) / times, tuple(points))
+    r2 = 1.0 - float(np.sum((residuals * times) ** 2)) / max(spread, 1e-300)
+    # of the power: all at which the squares are no larger than chance would make them (profile likelihood)
+    tried = np.array([_solved(points, power)[1] for power in POWERS])
+    most = tried.min() * (1.0 + f.ppf(CONFIDENCE, 1, max(freedom - 1, 1)) / max(freedom - 1, 1))
+    likely = POWERS[tried <= most]
+    power = (float(POWERS[tried.argmin()]), float(likely.min()), float(likely.max()))
+    return Fit(kind, values, bounds, r2, residuals, power, tuple(points))
 
 
 def shape_of(kind: str, n: int, along: int) -> tuple[int, int, int]:
@@ -172,9 +188,7 @@ def _point(
     busy = phase.column(BUSY) / max(phase.ticks, 1)
     rays, hops = int(phase.total[BORN + PRIMARY]), int(phase.total[SENT : SENT + PORTS].sum())
     seconds = cost.seconds(phase.ticks)
-    return Point(
-        scene.name, kind, n, shape, rays, phase.ticks, seconds, float(busy.mean()), float(busy.max()), hops
-    )
+    return Point(scene.name, kind, n, shape, rays, phase.ticks, seconds, float(busy.mean()), float(busy.max()), hops)
 
 
 def fits_of(points: Sequence[Point]) -> dict[tuple[str, str], Fit]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from raygrid.host.cost_models import CostModel
-from raygrid.host.law import CONFIDENCE, KINDS, Fit, Point
+from raygrid.host.law import CONFIDENCE, KINDS, Fit, Point, law
 from raygrid.host.outputs import write_whole
 from raygrid.host.plots import pyplot, save_figure
 
@@ -53,18 +53,23 @@ def _report(scenes: list[str], points: Sequence[Point], fits: Fits, cost: CostMo
         "",
         f"Machine time by the cost model {cost.name} ({cost.file.about}), middle costs. n is the edge of the array, R the",
         "number of primary rays. A, B and C are fitted by least squares of relative residuals and held at 0 or above; the",
-        f"bounds are those of {CONFIDENCE:.0%} confidence, as far as a law that is not exact can have them.",
+        f"bounds are those of {CONFIDENCE:.0%} confidence, as far as a law that is not exact can have them. The free power is",
+        "that of n in the third term if it is fitted, too: what the frames would rather have instead of 2 or 3.",
         "",
         "## Fits",
         "",
-        "| scene | law | A, s | B, s | C, s a ray | R^2 | largest residual | frames |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- |",
+        "| scene | law | A, s | B, s | C, s a ray | R^2 | residuals: mean, largest | free power of n | frames |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for (scene, kind), found in fits.items():
-        a, b, c = (f"{v:.3g} ± {off:.2g}" for v, off in zip(found.values, found.bounds, strict=True))
-        worst = float(np.abs(found.residuals).max())
+        a, b, c = (
+            f"{v:.3g} ± {off:.2g}" if v > 0.0 else "0" for v, off in zip(found.values, found.bounds, strict=True)
+        )
+        off = np.abs(found.residuals)
+        power = "{:.2f} ({:.2f} to {:.2f})".format(*found.power)
         rows.append(
-            f"| {scene} | {FORMULA[kind]} | {a} | {b} | {c} | {found.r2:.4f} | {worst:.0%} | {len(found.points)} |"
+            f"| {scene} | {FORMULA[kind]} | {a} | {b} | {c} | {found.r2:.4f} | {off.mean():.0%}, {off.max():.0%} "
+            f"| {power} | {len(found.points)} |"
         )
     rows += ["", "## The best size", "", *_best(fits), "", "## Square against cubic", "", *_against(scenes, points)]
     for scene in scenes:
@@ -87,9 +92,13 @@ def _best(fits: Fits) -> list[str]:
             best = min(line, key=lambda p: p.ticks)
             inside = "yes" if line[0].n < best.n < line[-1].n else "no"
             rows.append(
-                f"| {scene} | {kind} | {rays:,} | {best.n} | {best.seconds:.4g} | {inside} | {found.best(rays):.1f} |"
+                f"| {scene} | {kind} | {rays:,} | {best.n} | {best.seconds:.4g} | {inside} | {_edge(found.best(rays))} |"
             )
     return rows
+
+
+def _edge(n: float) -> str:
+    return f"{n:.1f}" if np.isfinite(n) else "none"
 
 
 def _against(scenes: list[str], points: Sequence[Point]) -> list[str]:
@@ -154,10 +163,10 @@ def _figure(scene: str, fits: dict[str, Fit]) -> Any:
                 axes[1, 1].plot(counts, shares, style, label=f"{kind}, {rays:,} rays", linewidth=0.8)
         most = max(p.rays for p in found.points)
         for name, term in zip("ABC", found.values * np.eye(3), strict=True):
-            from raygrid.host.law import law
-
-            axis.plot(ns, law(kind, ns, most) @ term, ":", color="grey", linewidth=0.8)
-            axis.annotate(name, (ns[-1], float((law(kind, ns[-1:], most) @ term)[0])), fontsize=8, color="grey")
+            curve = law(KINDS[kind], ns, most) @ term
+            if term.any():
+                axis.plot(ns, curve, ":", color="grey", linewidth=0.8)
+                axis.annotate(name, (ns[-1], float(curve[-1])), fontsize=8, color="grey")
         axis.set_title(f"{kind}: T = {FORMULA[kind]} (dotted: the terms for {most:,} rays)", fontsize=9)
         axis.set_xlabel("n")
     axes[1, 0].set_title("square and cubic", fontsize=9)

@@ -13,7 +13,7 @@ Both wait for credit like all data, so that none overtakes another.
 from __future__ import annotations
 
 import struct
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,7 +100,7 @@ def read_prices(order: dict[str, Any]) -> tuple[Prices, Long] | None:
     """(prices, ticks of a list's tests) of the order of a frame; None if it is not timed. Raises ProtocolError."""
     if "prices" not in order:
         return None
-    table, tests, costs = order["prices"], order.get("tests"), order.get("costs")
+    table, tests, costs = order["prices"], order.get("tests", []), order.get("costs", [])
     if not isinstance(table, bytes) or len(table) != 8 * COUNTS:
         raise ProtocolError(f"prices came that are not {COUNTS} numbers")
     counts = np.frombuffer(table, "<i8").astype(np.int64)
@@ -113,7 +113,7 @@ def read_prices(order: dict[str, Any]) -> tuple[Prices, Long] | None:
     return Prices(counts, costs[0], costs[1], costs[2], costs[3]), np.array(tests, np.int64)
 
 
-def _numbers(value: Any, count: int) -> bool:
+def _numbers(value: Any, count: int) -> TypeGuard[list[int]]:
     return (
         isinstance(value, list) and len(value) == count and all(type(x) is int and 0 <= x <= MOST_TICKS for x in value)
     )

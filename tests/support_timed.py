@@ -19,7 +19,7 @@ from raygrid.host.render import render_job
 from raygrid.host.scene import Scene
 from raygrid.host.simulate import Simulated, simulate_job
 from raygrid.node.stamped import prices_order
-from raygrid.node.timed import BUSY, MOST_WAITING, PACKETS_SENT, SERVED, TRACE, WAITED, WALKED
+from raygrid.node.timed import BUSY, MOST_WAITING, PACKETS_SENT, SERVED, WAITED, WALKED
 from raygrid.node.walk import PORTS
 
 Shape = tuple[int, int, int]

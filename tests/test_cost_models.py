@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import itertools
 from pathlib import Path
 
 import pytest
@@ -30,7 +31,7 @@ def test_built_in_files_are_what_the_script_works_out():
 def test_built_in_models_have_ascending_prices(name):
     model = load_cost_model(name)
     prices = [model.prices(level, "tree") for level in LEVELS]
-    for low, high in zip(prices, prices[1:], strict=False):
+    for low, high in itertools.pairwise(prices):
         assert (low.counts <= high.counts).all()
         assert low.packet <= high.packet
         assert low.latency <= high.latency
@@ -56,7 +57,11 @@ def test_unit_costs_one_tick():
 @pytest.mark.parametrize(
     ("before", "after", "pattern"),
     [
-        ("latency = [5", "latency = [0", r"x\.toml, line \d+: link\.latency\[0\] is 0, wanted greater than or equal to 1"),
+        (
+            "latency = [5",
+            "latency = [0",
+            r"x\.toml, line \d+: link\.latency\[0\] is 0, wanted greater than or equal to 1",
+        ),
         ("packet = [", "packet = 0 # [", r"x\.toml, line \d+: ticks\.packet\[0\] is 0, wanted .* 1"),
         ("\nwalk = ", "\nwlk = ", r"x\.toml, line \d+: the key ticks\.wlk is unknown, wanted one of: packet, walk, .*"),
         ("walk = [", "walk = [-", r"x\.toml, line \d+: ticks\.walk\[0\] is -\d+, wanted greater than or equal to 0"),
