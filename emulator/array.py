@@ -42,6 +42,7 @@ class Array:
     shape    processors on each axis
     batch    most packets a message, 1 or more
     patience seconds without any progress after which the array is taken to hang (`driver.PATIENCE`)
+    profile  whether nodes say where their time goes (`node.profile`)
     timed    whether nodes can keep machine time (`node.timed_processor`)
     """
 
@@ -51,10 +52,11 @@ class Array:
         batch: int = BATCH,
         patience: float | None = None,
         on_warming: Callable[[int, int, str], None] | None = None,
+        profile: bool = False,
         timed: bool = False,
     ) -> None:
         check_fits(shape)
-        self.timed = timed
+        self.profile, self.timed = profile, timed
         self.shape, self.batch, self.patience = shape, batch, patience
         self._on_warming = on_warming
         self._nursery: Nursery | None = None
@@ -145,6 +147,7 @@ class Array:
                 "epoch": EPOCH,
                 "machine": machine,
                 "batch": self.batch,
+                "profile": self.profile,
                 "timed": self.timed,
                 "links": links[index],
             }

@@ -199,10 +199,15 @@ class Driver:
             if link.waiting > 4:
                 self._wait(lambda link=link: link.waiting <= 4, "a corner takes more surfaces")  # type: ignore[misc]
         self._wait(lambda: all(link.waiting == 0 for link in self.links.values()), "the corners take all surfaces")
+        before = (
+            None  # one wave proves nothing: it may count an arrival whose sending it missed, and the other way round
+        )
         while True:
             sums = self.wave({"do": "loaded"})["sums"]
-            if sums[RECEIVED] == dealt + sums[HANDED_ON]:
+            now = sums[RECEIVED], sums[HANDED_ON]
+            if now == before and now[0] == dealt + now[1]:
                 break
+            before = now
         self.wave({"do": "build"})
         self._quiet = True
 

@@ -197,11 +197,9 @@ def _bear_next(timed, k, tick, cell, space, frame, pixels, births, scratch, watc
     else:
         pixel = number // frame.samples
         j = pixel // frame.width
+        i, sample = pixel - j * frame.width, number - pixel * frame.samples
         white = pack_weight(1.0, 1.0, 1.0)
-        _bear(
-            cell, space, frame, pixels, pixel - j * frame.width, j, number - pixel * frame.samples, scratch, 0, white,
-            watch.total,
-        )  # fmt: skip
+        watch.total[BORN + PRIMARY] += _bear(cell, space, frame, pixels, i, j, pixel, sample, scratch, 0, white)
         born(timed, k, tick, scratch, 0, prices.counts[BORN + PRIMARY])
 
 

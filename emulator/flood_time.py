@@ -11,7 +11,7 @@ only towards boxes of cells that the surface comes near. A description takes as 
 from __future__ import annotations
 
 import heapq
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +63,7 @@ def _flood(every, corner_of, planes, shape, description, hand_on, transmit, late
     link_free = np.zeros((len(busy), 6), np.int64)
     dealt = np.zeros(8, np.int64)
     low, high, scratch = np.empty(3), np.empty(3), np.empty((3, 3))
-    events = [(np.int64(0), np.int64(0), np.int64(0), np.int64(0), np.int64(0))]
+    events: list[Any] = [(np.int64(0), np.int64(0), np.int64(0), np.int64(0), np.int64(0))]  # so that its type is known
     events.pop()
     for surface in range(len(corner_of)):
         corner = corner_of[surface]

@@ -26,7 +26,7 @@ def _homes(frame, space, homes):
     for sample in range(len(homes)):
         x, y = image_point(sample, frame.width, frame.samples)
         origin, direction = eye_ray(frame.camera, x, y)
-        enters, point = entry(space.step, origin, direction)
+        enters, point, _ = entry(space.step, origin, direction)
         homes[sample] = -1
         if enters:
             cell = home(space, point)

@@ -182,6 +182,8 @@ def cli() -> None:
               help="Picture (.png .jpg .webp .tif .bmp .ppm), or .npy of the exact sums; may be repeated.  "
                    "[default: the scene's name with .png, here]")
 @click.option("--stats", type=click.Path(), metavar="FILE", help="Write what the machine did as JSON.")
+@click.option("--profile", is_flag=True,
+              help="Say where each processor's time went: receive, birth, decode, walk, hit, shade, send, other, wait.")
 @click.option("--patience", type=Number(0.1, 1e9), default=30.0, show_default=True, metavar="SECONDS",
               help="Time without any progress after which the array is taken to hang.")
 @click.option("--timed", is_flag=True, help="Keep machine time, too: ticks in --stats. Slow; see docs/machine-time.md.")
@@ -196,7 +198,7 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
     """
     from raygrid.host.command_render import Request, default_outputs, run_render
 
-    names = ("batch", "budget", "transfer", "stats", "patience", "quiet")
+    names = ("batch", "budget", "transfer", "stats", "patience", "quiet", "profile")
     machine = {name: options.pop(name) for name in names}
     timed, cost, search = (options.pop(name) for name in ("timed", "cost", "search"))
     if not timed and (cost or search):

@@ -29,6 +29,7 @@ class Request:
     shape     processors on each axis
     outputs   paths of pictures and sums
     stats     path of the statistics, or None
+    profile   whether to say where the nodes' time went
     settings  of `raygrid.host.job.Settings`
     cost      a cost model for machine time, or None: no machine time is kept
     search    list, tree, or None: as the cost model says
@@ -43,6 +44,7 @@ class Request:
     stats: str | None
     patience: float
     quiet: bool
+    profile: bool
     settings: dict[str, Any]
     cost: str | None = None
     search: str | None = None
@@ -70,6 +72,10 @@ def run_render(request: Request) -> None:
             talk.remark("no ray of the camera meets a surface: the picture shows the background only")
         for line in _summary(picture):
             talk.say(line)
+        if request.profile:
+            from raygrid.host.profile_table import profile_table
+
+            talk.table(profile_table(picture.stats["nodes"]))
     for output in request.outputs:
         write_result(output)
 
@@ -77,7 +83,12 @@ def run_render(request: Request) -> None:
 def _render(request: Request, talk: Talk, begun: float) -> Picture:
     shape = request.shape
     with Array(
-        shape, batch=request.batch, patience=request.patience, on_warming=talk.warming, timed=request.cost is not None
+        shape,
+        batch=request.batch,
+        patience=request.patience,
+        on_warming=talk.warming,
+        profile=request.profile,
+        timed=request.cost is not None,
     ) as array:
         array.begin()
         talk.phase(f"reading {request.scene}")

@@ -69,6 +69,14 @@ class Talk:
         if self._live:
             self._print(text)
 
+    def table(self, lines: list[str]) -> None:
+        """Lines that were asked for: on a terminal or not, quiet or not."""
+        for line in lines:
+            if self._bar is not None:
+                self._bar.console.print(line, highlight=False, markup=False, soft_wrap=True)
+            else:
+                click.echo(line, err=True)
+
     def _print(self, text: str) -> None:
         if self._quiet:
             return

@@ -21,8 +21,8 @@ CLOSING_SECONDS = 2.0  # how long a node waits for the answers to its BYE
 def run(config: dict[str, Any], life: int) -> None:
     """Be one node until the order `end`, or until the pipe `life` closes because the launcher is gone.
 
-    config  index [x, y, z], shape, epoch, machine (name of the array), batch (most packets a message), and
-            links: a list of {port, endpoint, bind}
+    config  index [x, y, z], shape, epoch, machine (name of the array), batch (most packets a message),
+            profile (whether to say where time goes), and links: a list of {port, endpoint, bind}
     Raises ProtocolError if a link breaks.
     """
     gc.set_threshold(50_000, 50, 50)  # a turn makes no cycles; the default would look for them every few turns
@@ -65,6 +65,10 @@ def processor_class(config: dict[str, Any]) -> type[Processor]:
 def _serve(config: dict[str, Any], pairs: dict[int, Pair], life: int) -> None:
     index, shape = tuple(config["index"]), tuple(config["shape"])
     processor = processor_class(config)(index, shape, open_links(config, pairs), config["batch"])
+    if config.get("profile"):
+        from .profile import Profile
+
+        Profile(processor)
     ports = {pair.socket: port for port, pair in pairs.items()}
     poller = zmq.Poller()
     for socket in ports:

@@ -76,7 +76,7 @@ class Processor:
         self._answers: list[dict[str, Any]] = []
         self._deadline = 0.0
         self._received = self._handed_on = 0
-        self._halted = False
+        self._halted = self._built = False
         self.refused: Counter[str] = Counter()
         self._cpu_at_frame = 0.0
         self._gather, self.linger, self._flush_at = 0, 0.0, min(FLUSH, batch)
@@ -185,8 +185,10 @@ class Processor:
             if self._halted:
                 continue
             space, cell = self.tracer.space, self.tracer.cell
-            if space is None or cell is None:
-                self._refuse(f"link {link.name}: surfaces came before a space")
+            if space is None or cell is None or self._built:
+                self._refuse(
+                    f"link {link.name}: surfaces came " + ("after the order to build" if space else "before a space")
+                )
                 continue
             try:
                 corner, batch = read_surfaces(arrival.message, arrival.items)
@@ -224,7 +226,7 @@ class Processor:
         do = order.get("do")
         if do == "space":
             self.tracer.set_space(read_space(order, self.shape))
-            self._halted = False
+            self._halted = self._built = False
             self._branches = {}
             self._received = self._handed_on = 0
             self.refused.clear()
@@ -234,6 +236,7 @@ class Processor:
             raise ProtocolError(f"the order {do!r} came before a frame")
         elif do == "build":
             self.tracer.build()
+            self._built = True
         elif do == "frame":
             self._cpu_at_frame = time.process_time()
             self.tracer.set_frame(read_frame(order))
