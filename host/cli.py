@@ -33,6 +33,8 @@ Examples:
   raygrid simulate balls.nff --array 10x10x10 --cost 8086
   raygrid info scenes/room.glb
   raygrid export scenes/kinds.nff -o kinds.pov
+  raygrid up --array 2x2x2
+  raygrid submit scenes/room.glb -o room.png
 """
 SIMULATE_EXAMPLES = """\b
 Examples:
@@ -58,7 +60,7 @@ Examples:
   raygrid render balls.nff --array 4x4x1 --split uniform --batch 1
 
 .npy holds the exact sums as int64, height x width x 3: linear radiance x 2^24, added over the samples of a pixel.
-docs/stats.md says what the statistics mean.
+docs/stats.md says what the statistics mean, docs/probes.md what probes tell.
 """
 INFO_EXAMPLES = """\b
 Examples:
@@ -117,6 +119,21 @@ class Edges(AnyType):
         if not all(word.isascii() and word.isdigit() and len(word) < 5 and 1 <= int(word) <= 1024 for word in words):
             self.fail(f"{_shorten(value)} came, wanted edges of 1 to 1024 such as 1,2,4,8", param, ctx)
         return tuple(sorted({int(word) for word in words}))
+
+
+class Fault(AnyType):
+    """A fault for experiments, `drop:0.001:7`."""
+
+    name = "fault"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Raises a usage error for anything that `parse_fault` refuses."""
+        from raygrid.node.faulty import parse_fault
+
+        try:
+            return parse_fault(str(value))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
 
 
 class Number(AnyType):
@@ -182,6 +199,10 @@ def cli() -> None:
               help="Picture (.png .jpg .webp .tif .bmp .ppm), or .npy of the exact sums; may be repeated.  "
                    "[default: the scene's name with .png, here]")
 @click.option("--stats", type=click.Path(), metavar="FILE", help="Write what the machine did as JSON.")
+@click.option("--probe-record", type=click.Path(), metavar="FILE", help="Keep how every node stood, line by line, as JSON.")
+@click.option("--chrome-trace", type=click.Path(), metavar="FILE", help="Write the same as a trace for Perfetto.")
+@click.option("--probe-rate", type=Number(0.01, 100.0), default=10.0, show_default=True, metavar="HZ",
+              help="How often a node tells how it stands, if anybody asks.")
 @click.option("--profile", is_flag=True,
               help="Say where each processor's time went: receive, birth, decode, walk, hit, shade, send, other, wait.")
 @click.option("--patience", type=Number(0.1, 1e9), default=30.0, show_default=True, metavar="SECONDS",
@@ -189,6 +210,11 @@ def cli() -> None:
 @click.option("--timed", is_flag=True, help="Keep machine time, too: ticks in --stats. Slow; see docs/machine-time.md.")
 @click.option("--cost", metavar="MODEL", help="With --timed, what work costs; as for simulate.  [default: 8086]")
 @click.option("--search", type=click.Choice(["list", "tree"]), help="With --timed; as for simulate.")
+@click.option("--attempts", type=Number(1, 1000), default=4, show_default=True, metavar="N",
+              help="How often to try when processors are lost or links break; the picture is the same.")
+@click.option("--fault", type=Fault(), metavar="KIND[:RATE[:SEED]]",
+              help="For experiments: links between neighbours drop, double, reorder, delay, corrupt or truncate this part "
+                   "of their messages.  [default rate: 0.0001]")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors. (Without a terminal there is hardly any.)")
 @_debug_option
 def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **options: Any) -> None:
@@ -198,7 +224,8 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
     """
     from raygrid.host.command_render import Request, default_outputs, run_render
 
-    names = ("batch", "budget", "transfer", "stats", "patience", "quiet", "profile")
+    of_machine = ("batch", "budget", "transfer", "stats", "patience", "attempts", "fault", "quiet", "profile")
+    names = (*of_machine, "probe_record", "chrome_trace", "probe_rate")
     machine = {name: options.pop(name) for name in names}
     timed, cost, search = (options.pop(name) for name in ("timed", "cost", "search"))
     if not timed and (cost or search):
@@ -325,6 +352,13 @@ def export(scene: str, depth: int | None, highlights: bool | None, output: str |
     from raygrid.host.outputs import write_result
 
     write_result(export_file(scene, output, depth, highlights))
+
+
+from raygrid.host.cli_inspect import add_commands as _add_inspect_commands  # noqa: E402  (and so does it)
+from raygrid.host.cli_service import add_commands as _add_service_commands  # noqa: E402  (it uses the types above)
+
+_add_service_commands(cli, render, _debug_option)
+_add_inspect_commands(cli, _debug_option)
 
 
 def _lines(facts: dict[str, Any], indent: str = "") -> Iterator[str]:

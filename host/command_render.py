@@ -5,8 +5,10 @@ What is heavy to import (numba comes with it) is imported after the nursery was 
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +21,8 @@ from raygrid.host.progress import Talk
 if TYPE_CHECKING:
     from raygrid.host.job import Job
     from raygrid.host.picture import Picture
+    from raygrid.host.probing import Probing
+    from raygrid.node.faulty import FaultPlan
 
 
 @dataclass(frozen=True)
@@ -33,6 +37,7 @@ class Request:
     settings  of `raygrid.host.job.Settings`
     cost      a cost model for machine time, or None: no machine time is kept
     search    list, tree, or None: as the cost model says
+    probe_record, chrome_trace   paths of what probes tell `probe_rate` times a second, or None
     """
 
     scene: str
@@ -43,11 +48,16 @@ class Request:
     transfer: str
     stats: str | None
     patience: float
+    attempts: int
+    fault: FaultPlan | None
     quiet: bool
     profile: bool
     settings: dict[str, Any]
     cost: str | None = None
     search: str | None = None
+    probe_record: str | None = None
+    chrome_trace: str | None = None
+    probe_rate: float = 10.0
 
 
 def run_render(request: Request) -> None:
@@ -57,8 +67,8 @@ def run_render(request: Request) -> None:
     if request.cost is not None:
         _prices(request.cost, request.search)
     _check_outputs(request)
-    with Talk(request.quiet) as talk:
-        picture = _render(request, talk, begun)
+    with Talk(request.quiet) as talk, _probing(request) as probing:
+        picture = _render(request, talk, begun, probing)
         for output in request.outputs:
             talk.phase(f"writing {output}")
             picture.save(output, request.transfer)
@@ -80,13 +90,14 @@ def run_render(request: Request) -> None:
         write_result(output)
 
 
-def _render(request: Request, talk: Talk, begun: float) -> Picture:
+def _render(request: Request, talk: Talk, begun: float, probing: Probing | None) -> Picture:
     shape = request.shape
     with Array(
         shape,
         batch=request.batch,
         patience=request.patience,
         on_warming=talk.warming,
+        fault=request.fault,
         profile=request.profile,
         timed=request.cost is not None,
     ) as array:
@@ -99,11 +110,20 @@ def _render(request: Request, talk: Talk, begun: float) -> Picture:
         ready = time.perf_counter()
 
         from raygrid.host.job import samples_expected
-        from raygrid.host.render import render_job
+        from raygrid.host.steady import render_steadily
 
         talk.expect(samples_expected(job))
-        cost = None if request.cost is None else _prices(request.cost, request.search)
-        picture = render_job(array.driver, job, request.budget, talk.watch, prices=cost)
+        if probing is not None:
+            array.probe(request.probe_rate, probing.take)
+        picture = render_steadily(
+            array,
+            job,
+            request.budget,
+            talk.watch,
+            attempts=request.attempts,
+            on_fault=talk.fault,
+            prices=None if request.cost is None else _prices(request.cost, request.search),
+        )
         picture.stats["wall_seconds"] |= {"read": round(read - begun, 6), "launch": round(ready - read, 6)}
         talk.phase("ending the processors")
     return picture
@@ -117,6 +137,15 @@ def _prices(name: str, search: str | None) -> dict[str, Any]:
     cost = load_cost_model(name)
     chosen = search or cost.file.search
     return prices_order(cost.prices("middle", chosen), cost.tests("middle") * (chosen == "list"))
+
+
+def _probing(request: Request) -> AbstractContextManager[Probing | None]:
+    """Takes what probes tell, if that is asked for; outside of the array, so that its troubles cost no picture."""
+    if request.probe_record is None and request.chrome_trace is None:
+        return contextlib.nullcontext()
+    from raygrid.host.probing import Probing
+
+    return Probing(request.shape, request.probe_rate, request.probe_record, request.chrome_trace)
 
 
 def _read_job(request: Request, talk: Talk, wait_warm: Callable[[], None]) -> Job:
@@ -136,9 +165,10 @@ def _check_outputs(request: Request) -> None:
     for output in request.outputs:
         check_picture_path(output)
     written = list(request.outputs)
-    if request.stats is not None:
-        check_path(request.stats)
-        written.append(request.stats)
+    for path in (request.stats, request.probe_record, request.chrome_trace):
+        if path is not None:
+            check_path(path)
+            written.append(path)
     check_different(request.scene, written)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -10,11 +11,14 @@ from typing import Any
 from raygrid.emulator.array import BATCH, Array
 from raygrid.emulator.driver import BUDGET, PATIENCE
 from raygrid.emulator.limits import parse_shape
+from raygrid.emulator.samples import Sample
 from raygrid.host.job import Settings, make_job
 from raygrid.host.load import load_scene
 from raygrid.host.picture import Picture
-from raygrid.host.render import Watch, render_job
+from raygrid.host.render import Watch
 from raygrid.host.scene import Scene
+from raygrid.host.steady import ATTEMPTS, render_steadily
+from raygrid.node.faulty import parse_fault
 
 MOST_BATCH = 8192  # packets; their message stays far below the longest that a link takes
 
@@ -34,22 +38,43 @@ class Machine:
 
     @property
     def pids(self) -> tuple[int, ...]:
-        """Process ids of the nodes, x fastest."""
+        """Process ids of the nodes, x fastest. Nodes that were lost are replaced by new ones."""
         return tuple(self._array.pids)
 
     def render(
-        self, scene: Scene | str | Path, *, budget: int = BUDGET, watch: Watch | None = None, **settings: Any
+        self,
+        scene: Scene | str | Path,
+        *,
+        budget: int = BUDGET,
+        watch: Watch | None = None,
+        attempts: int = ATTEMPTS,
+        **settings: Any,
     ) -> Picture:
         """Render a scene, or the file of one.
 
         settings  size, samples, depth, min_weight, highlights, split; see `raygrid.host.job.Settings`
         budget    packets in flight below which new primary rays are admitted
         watch     called with (phase, progress) as the work goes on
+        attempts  how often to try in all: when a node is lost or a link breaks, the array is reset and the frame
+                  begins anew; what happened is in the picture's stats["faults"]
         Raises SceneError for a scene or settings that cannot be rendered, ArrayError if the array fails.
         """
         if not isinstance(scene, Scene):
             scene = load_scene(scene)
-        return render_job(self._array.driver, make_job(scene, self.shape, Settings(**settings)), budget, watch)
+        job = make_job(scene, self.shape, Settings(**settings))
+        return render_steadily(self._array, job, budget, watch, attempts=attempts)
+
+    def probe(self, rate: float, watch: Callable[[Sample], object] | None) -> None:
+        """Let every node tell `rate` times a second how it stands, while the array renders; 0: no more (docs/probes.md).
+
+        watch  called with each `raygrid.emulator.samples.Sample`
+        Raises ProtocolError for a rate that cannot be.
+        """
+        self._array.probe(rate, watch)
+
+    def reset(self) -> None:
+        """The reset line: drop whatever the array holds or does; afterwards it is empty and ready (`Array.reset`)."""
+        self._array.reset()
 
     def close(self) -> None:
         """End the array. May be called twice."""
@@ -64,12 +89,19 @@ class Machine:
         self._array.__exit__(kind, error, trace)
 
 
-def launch(shape: str | tuple[int, int, int] = "2x2x2", *, batch: int = BATCH, patience: float = PATIENCE) -> Machine:
+def launch(
+    shape: str | tuple[int, int, int] = "2x2x2",
+    *,
+    batch: int = BATCH,
+    patience: float = PATIENCE,
+    fault: str | None = None,
+) -> Machine:
     """Launch an array of node processes on this computer, and wait until it is ready.
 
     shape     processors on each axis, "2x2x2" or (2, 2, 2)
     batch     most packets a message
     patience  seconds without any progress after which the array is taken to hang
+    fault     for experiments: what links between neighbours do to messages, "KIND[:RATE[:SEED]]" (`node.faulty`)
     Raises ValueError for what none of these can be, TooLarge for an array that does not fit this computer.
     """
     if not 1 <= batch <= MOST_BATCH:
@@ -77,4 +109,5 @@ def launch(shape: str | tuple[int, int, int] = "2x2x2", *, batch: int = BATCH, p
     if not 0.0 < patience < math.inf:
         raise ValueError(f"a patience came as {patience}, wanted seconds above 0")
     cells = parse_shape(shape if isinstance(shape, str) else "x".join(map(str, shape)))
-    return Machine(Array.launch(cells, batch=batch, patience=patience))
+    plan = None if fault is None else parse_fault(fault)
+    return Machine(Array.launch(cells, batch=batch, patience=patience, fault=plan))

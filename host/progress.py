@@ -15,6 +15,7 @@ import click
 
 if TYPE_CHECKING:
     from raygrid.emulator.driver import Progress
+    from raygrid.host.steady import Fault
 
 PHASES = {"load": "loading surfaces", "trace": "tracing", "collect": "collecting pixels"}
 
@@ -60,9 +61,18 @@ class Talk:
             self._task = self._bar.add_task(what, total=total, detail="")
             self._bar.refresh()  # now, or a short phase would never be seen
 
+    def part(self, done: float, detail: str) -> None:
+        """Say how much of the total of the phase is done."""
+        if self._bar is not None:
+            self._bar.update(self._task, completed=done, detail=detail)
+
     def remark(self, text: str) -> None:
         """A line on the scene or the picture that stays, terminal or not."""
         self._print(f"note: {text}")
+
+    def fault(self, fault: Fault) -> None:
+        """Told by `render_steadily` of what went wrong and was made good."""
+        self.remark(f"{fault.what}; the array was reset in {fault.seconds[1]:.2f} s, and the frame begins anew")
 
     def say(self, text: str) -> None:
         """A line that stays, on a terminal."""

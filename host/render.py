@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.emulator.driver import BUDGET, Driver, Progress
-from raygrid.emulator.limits import read_resources
+from raygrid.emulator.limits import read_memory
 from raygrid.host.job import Job, rays_enter
 from raygrid.host.picture import Picture
 from raygrid.host.stats import make_stats
-from raygrid.node.errors import ArrayError, TooLarge
+from raygrid.node.errors import ArrayError, Garbled, TooLarge
 from raygrid.node.lattice import LONGEST_STEP
 from raygrid.node.pixels import MAX_INTENSITY, UNIT
 
@@ -66,7 +66,7 @@ def render_job(
 
 def _check_memory(job: Job) -> None:
     """Raise TooLarge for a picture that this computer has no room for, before the kernel ends a process for it."""
-    need, there = job.pixels * PIXEL_BYTES, read_resources().memory
+    need, there = job.pixels * PIXEL_BYTES, read_memory()
     if need > there.left:
         raise TooLarge(
             f"a picture of {job.frame.width}x{job.frame.height} pixels needs {need / 1e9:.1f} GB of memory, "
@@ -93,7 +93,7 @@ def _check_missing(job: Job, missing: NDArray[np.int64]) -> None:
         enters &= rays_enter(job, i + di, j + dj, SURELY_INSIDE)
     if enters.any():
         pixel = int(lacking[np.argmax(enters)])
-        raise ArrayError(f"pixel {pixel} came without all its samples, though its rays enter the world box")
+        raise Garbled(f"pixel {pixel} came without all its samples, though its rays enter the world box")
 
 
 def add_misses(job: Job, sums: NDArray[np.int64], samples: NDArray[np.int64]) -> None:
@@ -101,7 +101,7 @@ def add_misses(job: Job, sums: NDArray[np.int64], samples: NDArray[np.int64]) ->
     frame = job.frame
     missing = frame.samples - samples
     if np.any(missing < 0):
-        raise ArrayError(f"pixel {int(np.argmin(missing))} came with more samples than the {frame.samples} it has")
+        raise Garbled(f"pixel {int(np.argmin(missing))} came with more samples than the {frame.samples} it has")
     _check_missing(job, missing)
     if frame.discs:
         from raygrid.node.misses import add_missed

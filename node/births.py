@@ -12,6 +12,7 @@ import numpy as np
 from .camera import entry, eye_ray, image_point, primary_origin
 from .compiled import lean, part
 from .packets import PRIMARY, SIZE, octahedral, pack_weight, put_ray
+from .pixels import slot
 from .tables import BORN
 from .walk import NO_PORT, towards_start
 
@@ -90,3 +91,11 @@ def _bear(cell, space, frame, pixels, i, j, place, number, packets, to, white):
     put_ray(packets, to, PRIMARY, 1, sample, start, octahedral(direction[0], direction[1], direction[2]), white)
     pixels.samples[place] += 1
     return 1
+
+
+@lean
+def bear_primary(cell, space, frame, pixels, i, j, number, packet, counts):
+    """Write the primary ray of one sample of pixel (i, j) to `packet` if its home is here; returns 1 or 0."""
+    made = _bear(cell, space, frame, pixels, i, j, slot(pixels, i, j), number, packet, 0, pack_weight(1.0, 1.0, 1.0))
+    counts[BORN + PRIMARY] += made
+    return made

@@ -42,6 +42,14 @@ from .usage import peak_memory, private_memory
 from .walk import HOST, PORTS
 
 FLUSH = 256  # packets for which an output is sent although there is work, unless the root says otherwise
+PHASES = {
+    "space": "load",
+    "frame": "trace",
+    "collect": "collect",
+    "report": "idle",
+    "halt": "idle",
+}  # begun by an order
+MOST_REASONS = 100  # that are told apart, so that a hostile neighbour cannot fill the memory with them
 CLOGGED = 64  # waiting messages on a link at which no more surfaces are taken in
 
 # sums of a wave: the counts of node.tables, then these
@@ -82,6 +90,7 @@ class Processor:
         self._gather, self.linger, self._flush_at = 0, 0.0, min(FLUSH, batch)
         self._ports = list(links.items())
         self.choked = self._up = False
+        self.phase = "idle"  # load, trace, collect or idle: for the probes
 
     # --- the thin loop's three calls ---------------------------------------------------------------
 
@@ -142,8 +151,9 @@ class Processor:
         link.grant()
         if self._halted:
             return
-        if self.tracer.limits is None:
-            self._refuse(f"link {link.name}: packets came before a frame")
+        if self.tracer.limits is None or port == HOST:
+            why = "from the host, which sends none" if port == HOST else "before a frame"
+            self._refuse(f"link {link.name}: packets came {why}")
             return
         try:
             check_packets(arrival.message, arrival.items)
@@ -155,7 +165,9 @@ class Processor:
             self._refuse(f"link {link.name}: packet {number} of a message: {FAULTS[bad]}")
 
     def _refuse(self, why: str) -> None:
-        """Count what is refused; the next wave reports it."""
+        """Count what is refused; the next wave reports it. Reasons are kept apart only while they are few."""
+        if len(self.refused) >= MOST_REASONS and why not in self.refused:
+            why = f"node {','.join(map(str, self.index))}: for many other reasons"
         self.refused[why] += 1
 
     def _flush(self) -> None:
@@ -224,6 +236,7 @@ class Processor:
 
     def _obey(self, order: dict[str, Any]) -> None:
         do = order.get("do")
+        self.phase = PHASES.get(str(do), self.phase)
         if do == "space":
             self.tracer.set_space(read_space(order, self.shape))
             self._halted = self._built = False
@@ -335,6 +348,7 @@ class Processor:
             "hits": int(counts[HITS]),
             "messages": sum(link.messages_sent for link in self.links.values()),
             "bytes": sum(link.bytes_sent for link in self.links.values()),
+            "stale": sum(link.stale for link in self.links.values()),
             "waiting": tracer.backlog.held + int(tracer.outputs.held.sum()),
             "most_waiting": tracer.backlog.most_held,
             "most_queued_messages": max((link.most_waiting for link in self.links.values()), default=0),

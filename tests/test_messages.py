@@ -11,18 +11,21 @@ from support_cases import steady
 from support_messages import message, orders, random_batch, same_batch, surfaces_message
 
 from raygrid.node.errors import ProtocolError
+from raygrid.node.maps import DEEPEST, MOST_ITEMS
 from raygrid.node.messages import (
-    DEEPEST,
     HEADER,
     MAX_MESSAGE,
-    MOST_ITEMS,
+    SUMMED,
     MessageKind,
     check_packets,
+    is_whole,
+    pack_message,
     pack_order,
     pack_surfaces,
     read_header,
     read_order,
     read_surfaces,
+    seal,
 )
 from raygrid.node.packets import SIZE
 from raygrid.node.step import HEAD
@@ -33,17 +36,20 @@ KINDS = list(MessageKind)
 # --- golden bytes --------------------------------------------------------------------------------
 
 HEADERS = {
-    MessageKind.HELLO: ((0, 0, 0, 0), "01 00 0000 00000000 00000000 00000000"),
-    MessageKind.ACK: ((1, 1, 0, 0), "02 00 0100 01000000 00000000 00000000"),
-    MessageKind.PACKETS: ((0x0201, 0x06050403, 0x0A090807, 0x0E0D0C0B), "03 00 0102 03040506 0708090a 0b0c0d0e"),
-    MessageKind.SURFACES: ((65535, 2**32 - 1, 2**32 - 1, 2**32 - 1), "04 00 ffff ffffffff ffffffff ffffffff"),
-    MessageKind.DOWN: ((0, 2, 3, 0), "05 00 0000 02000000 03000000 00000000"),
-    MessageKind.UP: ((0, 2, 3, 0), "06 00 0000 02000000 03000000 00000000"),
-    MessageKind.CREDIT: ((0, 9, 16, 0), "07 00 0000 09000000 10000000 00000000"),
-    MessageKind.BYE: ((7, 256, 0, 0), "08 00 0700 00010000 00000000 00000000"),
-    MessageKind.BYE_ACK: ((7, 257, 0, 0), "09 00 0700 01010000 00000000 00000000"),
-    MessageKind.STAMPED: ((1, 3, 2, 5), "0a 00 0100 03000000 02000000 05000000"),
-    MessageKind.ENQUIRY: ((1, 4, 2, 0), "0b 00 0100 04000000 02000000 00000000"),
+    MessageKind.HELLO: ((0, 0, 0, 0), "01 00 0000 00000000 00000000 00000000 ac7f3e30"),
+    MessageKind.ACK: ((1, 1, 0, 0), "02 00 0100 01000000 00000000 00000000 b58d9b96"),
+    MessageKind.PACKETS: (
+        (0x0201, 0x06050403, 0x0A090807, 0x0E0D0C0B),
+        "03 00 0102 03040506 0708090a 0b0c0d0e 30c95f5e",
+    ),
+    MessageKind.SURFACES: ((65535, 2**32 - 1, 2**32 - 1, 2**32 - 1), "04 00 ffff ffffffff ffffffff ffffffff 4da10277"),
+    MessageKind.DOWN: ((0, 2, 3, 0), "05 00 0000 02000000 03000000 00000000 51226752"),
+    MessageKind.UP: ((0, 2, 3, 0), "06 00 0000 02000000 03000000 00000000 ac0661a1"),
+    MessageKind.CREDIT: ((0, 9, 16, 0), "07 00 0000 09000000 10000000 00000000 c059b615"),
+    MessageKind.BYE: ((7, 256, 0, 0), "08 00 0700 00010000 00000000 00000000 cc973c2d"),
+    MessageKind.BYE_ACK: ((7, 257, 0, 0), "09 00 0700 01010000 00000000 00000000 51adfc5a"),
+    MessageKind.STAMPED: ((1, 3, 2, 5), "0a 00 0100 03000000 02000000 05000000 120b279f"),
+    MessageKind.ENQUIRY: ((1, 4, 2, 0), "0b 00 0100 04000000 02000000 00000000 cb331f7f"),
 }
 
 
@@ -226,7 +232,8 @@ def read_all(raw: bytes) -> None:
         header = read_header(raw)
     except ProtocolError:
         return
-    assert HEADER.pack(int(header.kind), 0, header.epoch, header.sequence, header.credit, header.items) == raw[:HEAD]
+    numbers = (int(header.kind), 0, header.epoch, header.sequence, header.credit, header.items)
+    assert HEADER.pack(*numbers, 0)[:SUMMED] == raw[:SUMMED]
     _read_order(raw)
     _read_surfaces(raw, header.items)
     try:
@@ -314,3 +321,24 @@ def test_every_flip_of_a_bit_in_the_heads_is_read_or_refused():
             data = bytearray(raw)
             data[bit >> 3] ^= 1 << (bit & 7)
             read_all(bytes(data))
+
+
+@pytest.mark.parametrize("kind", list(Kind))
+def test_every_flip_of_a_bit_and_every_cut_is_seen_in_the_checksum(kind):
+    raw = surfaces_message(random_batch(kind, 2))
+    assert is_whole(raw)
+    for bit in range(8 * len(raw)):
+        data = bytearray(raw)
+        data[bit >> 3] ^= 1 << (bit & 7)
+        assert not is_whole(bytes(data))
+    assert not any(is_whole(raw[:length]) for length in range(HEAD, len(raw)))
+    assert not is_whole(raw + b"\0")
+
+
+def test_a_message_made_whole_and_one_sealed_in_place_are_the_same():
+    raw = pack_message(3, 1, 2, 3, 4, b"payload")
+    assert is_whole(raw)
+    row = np.frombuffer(raw, np.uint8).copy()
+    row[SUMMED:HEAD] = 0
+    seal(row.data)
+    assert row.tobytes() == raw
