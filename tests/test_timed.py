@@ -61,11 +61,15 @@ def test_frame_after_frame_and_untimed_ones_between():
 
 
 @pytest.mark.usefixtures("no_leftovers")
-def test_real_processes():
+def test_real_processes_with_and_without_probes():
     with Array.launch((2, 2, 1), timed=True, patience=100.0) as array:
-        for name, cost in (("kinds.nff", "unit"), ("glass.toml", "8086")):
-            job = job_of(name, (2, 2, 1), (12, 9), "balanced", samples=1)
-            assert_same(emulated_by(array.driver, job, cost), books_of(simulated(job, cost)))
+        samples = []
+        for rate in (0.0, 50.0):
+            array.probe(rate, samples.append)
+            for name, cost in (("kinds.nff", "unit"), ("glass.toml", "8086")):
+                job = job_of(name, (2, 2, 1), (12, 9), "balanced", samples=1)
+                assert_same(emulated_by(array.driver, job, cost), books_of(simulated(job, cost)))
+            assert bool(samples) == (rate > 0.0)
 
 
 @pytest.mark.slow
