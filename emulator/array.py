@@ -59,6 +59,7 @@ class Array:
     fault     what goes wrong on purpose on links between neighbours, for experiments; patience is FAULT_PATIENCE then
     injected  messages that were hit by it so far
     profile   whether nodes say where their time goes (`node.profile`)
+    timed     whether nodes can keep machine time (`node.timed_processor`)
     on_words  called as on_words(index, words) with what a node says on its line, but for its acknowledgements
     on_wait   called whenever the host waits for the array, four times a second or more; what it raises is passed on
     """
@@ -71,12 +72,13 @@ class Array:
         on_warming: Callable[[int, int, str], None] | None = None,
         fault: FaultPlan | None = None,
         profile: bool = False,
+        timed: bool = False,
     ) -> None:
         check_fits(shape)
         if fault is not None:
             patience = min(FAULT_PATIENCE, FAULT_PATIENCE if patience is None else patience)
         self.shape, self.batch, self.patience, self.fault = shape, batch, patience, fault
-        self.injected, self.profile = 0, profile
+        self.injected, self.profile, self.timed = 0, profile, timed
         self.epoch, self.restarts = -1, 0
         self.on_words: Callable[[Index, Words], None] | None = None
         self.refused_samples = 0
@@ -128,7 +130,8 @@ class Array:
         """Start the nursery, which warms up while the caller does other things."""
         self._begun = True
         self._place = Place.create(self.shape)
-        self._nursery = Nursery.start(on_warming=self._on_warming, directory=self._place.path)
+        warm = "raygrid.emulator.warm:warm_timed" if self.timed else "raygrid.emulator.warm:warm"
+        self._nursery = Nursery.start(warm=warm, on_warming=self._on_warming, directory=self._place.path)
 
     def wait_warm(self) -> None:
         """Wait until the nursery has every kernel, and all that it compiled is in the cache on disk."""
@@ -206,7 +209,7 @@ class Array:
             pair = Pair(self._context, host_endpoint(self._place.path, self.epoch, index), bind=True)
             self._pairs[corner] = pair
             self._poller.register(pair.socket, zmq.POLLIN)
-        told = {"batch": self.batch, "fault": self.fault, "profile": self.profile}
+        told = {"batch": self.batch, "fault": self.fault, "profile": self.profile, "timed": self.timed}
         forked = self._crew.begin(node_configs(self.shape, self._place.path, self.epoch, machine, **told))
         self.restarts += 0 if first else forked
         for descriptor in self._crew.filenos():

@@ -213,11 +213,20 @@ class Driver:
 
     # --- tracing -------------------------------------------------------------------------------------
 
-    def trace(self, frame: Frame, budget: int = BUDGET, progress: Callable[[Progress], None] | None = None) -> Progress:
-        """Trace a pass to completion: two successive waves with equal sums, born = died, nothing left to admit."""
+    def trace(
+        self,
+        frame: Frame,
+        budget: int = BUDGET,
+        progress: Callable[[Progress], None] | None = None,
+        prices: dict[str, Any] | None = None,
+    ) -> Progress:
+        """Trace a pass to completion: two successive waves with equal sums, born = died, nothing left to admit.
+
+        prices   of machine time (`node.stamped.prices_order`), for an array that keeps it
+        """
         self._settle()
         self._quiet = False
-        answer = self.wave(frame_order(frame))
+        answer = self.wave({**frame_order(frame), **(prices or {})})
         hold = HOLD + 0.001 * self.nodes
         before: Progress | None = None
         moved = time.monotonic()

@@ -9,7 +9,7 @@ import numpy as np
 
 from raygrid.node.flood import corners
 from raygrid.node.link import Link
-from raygrid.node.main import open_links
+from raygrid.node.main import open_links, processor_class
 from raygrid.node.memory_pair import MemoryPair, memory_pair
 from raygrid.node.processor import Processor
 from raygrid.node.walk import HOST
@@ -23,7 +23,9 @@ Order = Callable[[int], np.ndarray]
 class MemoryArray:
     """Processors of an array, run in turn. `order(n)` may give another order of the n nodes for each round."""
 
-    def __init__(self, shape: tuple[int, int, int], batch: int = 1024, order: Order = np.arange) -> None:
+    def __init__(
+        self, shape: tuple[int, int, int], batch: int = 1024, order: Order = np.arange, timed: bool = False
+    ) -> None:
         channels: dict[tuple[int, int, int], dict[int, Any]] = {index: {} for index in indices(shape)}
         for link in neighbour_links(shape):
             channels[link.lower][link.lower_port], channels[link.upper][link.upper_port] = memory_pair()
@@ -31,11 +33,12 @@ class MemoryArray:
         for corner, index in corners(shape).items():
             channels[index][HOST], host_ends[corner] = memory_pair()
         self._order = order
-        self.processors = []
+        self.processors: list[Processor] = []
         for index in indices(shape):
-            config = {"index": list(index), "machine": "memory", "epoch": 0}
+            config = {"index": list(index), "machine": "memory", "epoch": 0, "timed": timed}
             links = open_links(config, channels[index])
-            self.processors.append(Processor(index, shape, links, batch, clock=lambda: 0.0))
+            kind = processor_class(config)
+            self.processors.append(kind(index, shape, links, batch, clock=lambda: 0.0))
         links_of_host: dict[int, Link] = host_links(shape, host_ends, "memory", 0)
         self.driver = Driver(shape, links_of_host, self._pump)
 

@@ -16,8 +16,10 @@ from raygrid.node import profile
 from raygrid.node.lattice import World, make_space
 from raygrid.node.misses import add_missed
 from raygrid.node.packets import LATTICE
+from raygrid.node.stamped import prices_order
 from raygrid.node.surfaces import STORED_AS, Batch, Kind, SurfaceSet
-from raygrid.node.tables import LIGHT_COLUMNS, MATERIAL_COLUMNS, Frame
+from raygrid.node.tables import COUNTS, LIGHT_COLUMNS, MATERIAL_COLUMNS, Frame
+from raygrid.node.timed import Prices
 
 from .memory_array import MemoryArray
 from .split import split
@@ -71,6 +73,21 @@ def warm(report: Report) -> None:
                 frame._replace(samples=1 << 18),
             )
             profile.warm(array.processors[0].tracer)
+    report(KERNELS, KERNELS, "ready")
+
+
+def warm_timed(report: Report) -> None:
+    """The same, and the kernels of nodes that keep machine time."""
+    warm(report)
+    compilations = Compilations(report)
+    with event.install_listener("numba:compile", compilations):
+        array = MemoryArray((2, 1, 1), timed=True)
+        half = LATTICE // 2
+        space = make_space((2.0**-24, 2.0**-24, 2.0**-24), [[0, half, LATTICE], [0, LATTICE], [0, LATTICE]])
+        prices = Prices(np.ones(COUNTS, np.int64), 1, 1, 1, 0)
+        array.driver.ready()
+        array.driver.load(space, _one_of_each())
+        array.driver.trace(_frame(), prices=prices_order(prices, np.zeros(len(Kind), np.int64)))
     report(KERNELS, KERNELS, "ready")
 
 

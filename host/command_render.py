@@ -35,6 +35,8 @@ class Request:
     stats     path of the statistics, or None
     profile   whether to say where the nodes' time went
     settings  of `raygrid.host.job.Settings`
+    cost      a cost model for machine time, or None: no machine time is kept
+    search    list, tree, or None: as the cost model says
     probe_record, chrome_trace   paths of what probes tell `probe_rate` times a second, or None
     """
 
@@ -51,6 +53,8 @@ class Request:
     quiet: bool
     profile: bool
     settings: dict[str, Any]
+    cost: str | None = None
+    search: str | None = None
     probe_record: str | None = None
     chrome_trace: str | None = None
     probe_rate: float = 10.0
@@ -60,6 +64,8 @@ def run_render(request: Request) -> None:
     """Launch, read, load, trace, collect, write. Raises RaygridError."""
     begun = time.perf_counter()
     check_name(request.scene)
+    if request.cost is not None:
+        _prices(request.cost, request.search)
     _check_outputs(request)
     with Talk(request.quiet) as talk, _probing(request) as probing:
         picture = _render(request, talk, begun, probing)
@@ -93,6 +99,7 @@ def _render(request: Request, talk: Talk, begun: float, probing: Probing | None)
         on_warming=talk.warming,
         fault=request.fault,
         profile=request.profile,
+        timed=request.cost is not None,
     ) as array:
         array.begin()
         talk.phase(f"reading {request.scene}")
@@ -109,11 +116,27 @@ def _render(request: Request, talk: Talk, begun: float, probing: Probing | None)
         if probing is not None:
             array.probe(request.probe_rate, probing.take)
         picture = render_steadily(
-            array, job, request.budget, talk.watch, attempts=request.attempts, on_fault=talk.fault
+            array,
+            job,
+            request.budget,
+            talk.watch,
+            attempts=request.attempts,
+            on_fault=talk.fault,
+            prices=None if request.cost is None else _prices(request.cost, request.search),
         )
         picture.stats["wall_seconds"] |= {"read": round(read - begun, 6), "launch": round(ready - read, 6)}
         talk.phase("ending the processors")
     return picture
+
+
+def _prices(name: str, search: str | None) -> dict[str, Any]:
+    """The middle prices of a cost model as an order carries them. Raises CostError."""
+    from raygrid.host.cost_models import load_cost_model
+    from raygrid.node.stamped import prices_order
+
+    cost = load_cost_model(name)
+    chosen = search or cost.file.search
+    return prices_order(cost.prices("middle", chosen), cost.tests("middle") * (chosen == "list"))
 
 
 def _probing(request: Request) -> AbstractContextManager[Probing | None]:
@@ -154,14 +177,16 @@ def default_outputs(scene: str) -> tuple[str, ...]:
     return (Path(scene).stem + ".png",)
 
 
-def _summary(picture: Picture) -> tuple[str, str]:
+def _summary(picture: Picture) -> tuple[str, ...]:
     """What was traced, and the wall seconds of this computer (not of the machine of 1983)."""
     from raygrid.host.stats import ray_counts
 
     seconds, counts = picture.stats["wall_seconds"], ray_counts(picture.stats)
     rays = ", ".join(f"{count:,} {kind}" for kind, count in counts.items() if count) or "no"
     rate = sum(counts.values()) / max(seconds["trace"], 1e-9) / 1e6
+    machine = (f"{picture.stats['ticks']:,} ticks of machine time",) if "ticks" in picture.stats else ()
     return (
+        *machine,
         f"{rays} rays; {picture.stats['total']['hops']:,} hops",
         f"traced in {seconds['trace']:.2f} s of wall time ({rate:.2f} million rays/s), {seconds['whole']:.2f} s in all",
     )

@@ -24,11 +24,17 @@ Watch = Callable[[str, Progress | None], None]
 
 
 def render_job(
-    driver: Driver, job: Job, budget: int = BUDGET, watch: Watch | None = None, loaded: bool = False
+    driver: Driver,
+    job: Job,
+    budget: int = BUDGET,
+    watch: Watch | None = None,
+    loaded: bool = False,
+    prices: dict[str, Any] | None = None,
 ) -> Picture:
     """Render one frame. `watch(phase, progress)` is told of each phase, and of progress while tracing.
 
-    `loaded`: the array holds this job's surfaces already. Raises ArrayError and its kinds.
+    `loaded`: the array holds this job's surfaces already. `prices`: of machine time, for an array that keeps it
+    (`raygrid.node.stamped.prices_order`). Raises ArrayError and its kinds.
     """
     if not 1 <= budget <= MOST_BUDGET:
         raise ArrayError(f"a budget came as {budget}, wanted 1 to {MOST_BUDGET} packets in flight")
@@ -50,9 +56,9 @@ def render_job(
 
     if not loaded:
         timed("load", lambda: driver.load(job.space, job.surfaces))
-    progress = timed("trace", lambda: driver.trace(job.frame, budget, tell))
+    progress = timed("trace", lambda: driver.trace(job.frame, budget, tell, prices))
     sums, samples = timed("collect", lambda: driver.collect(job.pixels))
-    _add_misses(job, sums, samples)
+    add_misses(job, sums, samples)
     frame = job.frame
     stats = make_stats(job, driver, progress, seconds)
     return Picture(sums.reshape(frame.height, frame.width, 3), frame.samples, stats)
@@ -90,7 +96,7 @@ def _check_missing(job: Job, missing: NDArray[np.int64]) -> None:
         raise Garbled(f"pixel {pixel} came without all its samples, though its rays enter the world box")
 
 
-def _add_misses(job: Job, sums: NDArray[np.int64], samples: NDArray[np.int64]) -> None:
+def add_misses(job: Job, sums: NDArray[np.int64], samples: NDArray[np.int64]) -> None:
     """Add what the samples see whose rays never enter the world box; no home counts them."""
     frame = job.frame
     missing = frame.samples - samples

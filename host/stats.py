@@ -33,7 +33,7 @@ def make_stats(job: Job, driver: Driver, progress: Progress, seconds: dict[str, 
         "boxes": sum(node["boxes"] for node in nodes),
         "hits": sum(node["hits"] for node in nodes),
     }
-    return {
+    stats = {
         "version": VERSION,
         "scene": job.scene.name,
         "surfaces": len(job.surfaces),
@@ -51,6 +51,9 @@ def make_stats(job: Job, driver: Driver, progress: Progress, seconds: dict[str, 
         "wall_seconds": {phase: round(spent, 6) for phase, spent in seconds.items()},
         "nodes": nodes,
     }
+    if "machine" in nodes[0]:
+        stats["ticks"] = max(node["machine"]["ended_tick"] for node in nodes)
+    return stats
 
 
 def _sum_kinds(nodes: list[dict[str, Any]], name: str) -> dict[str, int]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from typing import Any
 
 from raygrid.emulator.array import Array
 from raygrid.emulator.driver import BUDGET, Progress
@@ -45,6 +46,7 @@ def render_steadily(
     loaded: bool = False,
     attempts: int = ATTEMPTS,
     on_fault: Callable[[Fault], None] | None = None,
+    prices: dict[str, Any] | None = None,
 ) -> Picture:
     """Render one frame as `render_job` does, on an array that may lose nodes and messages meanwhile.
 
@@ -53,6 +55,7 @@ def render_steadily(
 
     attempts  1 or more
     on_fault  told of each fault when the array is ready again
+    prices    of machine time, as of `render_job`
     Raises what went wrong last if no attempt succeeds, or the array cannot be reset: ArrayError and its kinds, ProtocolError.
     """
     if attempts < 1:
@@ -69,7 +72,7 @@ def render_steadily(
                 watch(now, progress)
 
         try:
-            picture = render_job(array.driver, job, budget, seen, loaded and not faults)
+            picture = render_job(array.driver, job, budget, seen, loaded and not faults, prices)
         except RECOVERABLE as error:
             if len(faults) + 1 >= attempts:
                 raise _given_up(error, faults) from error

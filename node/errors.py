@@ -2,6 +2,7 @@
 
 RaygridError                     every message is one sentence: where, what came, what was wanted
 ├── SceneError                   a scene, mesh or camera that cannot be rendered
+├── CostError                    a cost model that cannot be used
 ├── OutputError                  a picture or record that cannot be written
 ├── ProtocolError                a neighbour (or the host) sent what it must not
 │   └── PacketError              25 bytes that are no packet of this frame
@@ -21,6 +22,10 @@ class RaygridError(Exception):
 
 class SceneError(RaygridError):
     """A scene, mesh or camera that cannot be rendered."""
+
+
+class CostError(RaygridError):
+    """A cost model that cannot be used."""
 
 
 class OutputError(RaygridError):

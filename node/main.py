@@ -105,6 +105,15 @@ def open_links(config: dict[str, Any], channels: dict[int, Any]) -> dict[int, Li
     return links
 
 
+def processor_class(config: dict[str, Any]) -> type[Processor]:
+    """What a node is: one that keeps machine time if the array is `timed`."""
+    if not config.get("timed", False):
+        return Processor
+    from .timed_processor import TimedProcessor
+
+    return TimedProcessor
+
+
 def _with_faults(config: dict[str, Any], pairs: dict[int, Pair], line: Line) -> dict[int, Channel]:
     """The channels of a node: its pairs, those to neighbours with the faults that an experiment asks for."""
     channels: dict[int, Channel] = dict(pairs)
@@ -124,7 +133,7 @@ def _serve(
     probe: Probe,
 ) -> dict[str, Any] | None:
     index, shape = tuple(config["index"]), tuple(config["shape"])
-    processor = Processor(index, shape, open_links(config, channels), config["batch"])
+    processor = processor_class(config)(index, shape, open_links(config, channels), config["batch"])
     faults = [channel for channel in channels.values() if isinstance(channel, Faulty)]
     if config.get("profile"):
         from .profile import Profile

@@ -53,10 +53,12 @@ class MessageKind(IntEnum):
     CREDIT = 7  # nothing but the header
     BYE = 8  # nothing more will come
     BYE_ACK = 9
+    STAMPED = 10  # packets with their ticks of machine time (`node.stamped`)
+    ENQUIRY = 11  # a question how far a node may go in machine time, or its answer
 
 
 _KINDS = {int(kind): kind for kind in MessageKind}
-IS_DATA = frozenset((MessageKind.PACKETS, MessageKind.SURFACES))
+IS_DATA = frozenset((MessageKind.PACKETS, MessageKind.SURFACES, MessageKind.STAMPED, MessageKind.ENQUIRY))
 
 
 class Header(NamedTuple):

@@ -124,33 +124,36 @@ def _capsule_meets(data, row, low, high):
     return squared <= (reach + np.sqrt(half)) ** 2
 
 
+@part
+def surface_meets(kind, data, starts, boxes, row, low, high, points):
+    """Whether one surface meets the box low..high, already widened. `points`: scratch, float64 (3, 3)."""
+    inside, apart = True, False
+    for axis in range(3):
+        if boxes[row, 0, axis] > high[axis] or boxes[row, 1, axis] < low[axis]:
+            apart = True
+        if boxes[row, 0, axis] < low[axis] or boxes[row, 1, axis] > high[axis]:
+            inside = False
+    if apart or inside:
+        return inside
+    if kind <= 1:
+        for k in range(3):
+            for c in range(3):
+                points[k, c] = data[row, 3 * k + c]
+        return _polygon_meets(points, 3, low, high)
+    if kind == 2:
+        first = starts[row]
+        return _polygon_meets(data[first : starts[row + 1]], starts[row + 1] - first, low, high)
+    if kind == 3:
+        return _sphere_meets(data, row, low, high)
+    return _capsule_meets(data, row, low, high)
+
+
 @kernel
 def _meeting(kind, data, starts, boxes, low, high, found):
     """Fill found (n,) with whether each surface meets the box low..high, already widened."""
     points = np.empty((3, 3))
-    polygon, flat = kind == 2, kind <= 1
     for row in range(len(found)):
-        found[row] = False
-        inside, apart = True, False
-        for axis in range(3):
-            if boxes[row, 0, axis] > high[axis] or boxes[row, 1, axis] < low[axis]:
-                apart = True
-            if boxes[row, 0, axis] < low[axis] or boxes[row, 1, axis] > high[axis]:
-                inside = False
-        if apart or inside:
-            found[row] = inside
-        elif flat:
-            for k in range(3):
-                for c in range(3):
-                    points[k, c] = data[row, 3 * k + c]
-            found[row] = _polygon_meets(points, 3, low, high)
-        elif polygon:
-            first = starts[row]
-            found[row] = _polygon_meets(data[first : starts[row + 1]], starts[row + 1] - first, low, high)
-        elif kind == 3:
-            found[row] = _sphere_meets(data, row, low, high)
-        else:
-            found[row] = _capsule_meets(data, row, low, high)
+        found[row] = surface_meets(kind, data, starts, boxes, row, low, high, points)
 
 
 def meets(batch: Batch, low: F64, high: F64, boxes: F64 | None = None) -> NDArray[np.bool_]:

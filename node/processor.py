@@ -107,7 +107,11 @@ class Processor:
             elif arrival.kind == MessageKind.UP and port in self._children:
                 self._answers.append(read_order(arrival.message))
             else:
-                raise ProtocolError(f"link {link.name}: {arrival.kind.name} came on a port where it cannot come from")
+                self._take_other(port, link, arrival)
+
+    def _take_other(self, port: int, link: Link, arrival: Arrival) -> None:
+        """A message that only processors of another sort take. Raises ProtocolError."""
+        raise ProtocolError(f"link {link.name}: {arrival.kind.name} came on a port where it cannot come from")
 
     def work(self) -> bool:
         """Do one piece of work; whether there is more."""

@@ -1,0 +1,80 @@
+"""The command `raygrid law`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from raygrid.host.load import check_name
+from raygrid.host.outputs import check_path, write_result
+from raygrid.host.progress import Talk
+from raygrid.node.errors import OutputError
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the command line asks for.
+
+    sizes     kind of array -> edges
+    pictures  width and height of each
+    along     axis that a square array leaves whole, None: the one along which the camera looks
+    folder    where the report goes
+    command   how this was asked for, for the report
+    settings  of `raygrid.host.job.Settings`
+    """
+
+    scenes: tuple[str, ...]
+    cost: str
+    search: str | None
+    sizes: dict[str, Sequence[int]]
+    pictures: Sequence[tuple[int, int]]
+    along: int | None
+    folder: str
+    quiet: bool
+    command: str
+    settings: dict[str, Any]
+
+
+def run_law(request: Request) -> None:
+    """Sweep, fit, write the report. Raises RaygridError."""
+    for scene in request.scenes:
+        check_name(scene)
+    folder = Path(request.folder)
+    if not folder.is_dir() and not folder.parent.is_dir():
+        raise OutputError(f"{folder}: there is no directory {folder.parent}, wanted one that is there")
+    folder.mkdir(exist_ok=True)
+    check_path(folder / "law.md")
+    with Talk(request.quiet) as talk:
+        paths = _run(request, talk)
+    for path in paths:
+        write_result(path)
+
+
+def _run(request: Request, talk: Talk) -> list[str]:
+    from raygrid.host.command_simulate import compiling
+    from raygrid.host.cost_models import load_cost_model
+    from raygrid.host.law import fits_of, sweep
+    from raygrid.host.law_report import write_report
+    from raygrid.host.load import load_scene
+    from raygrid.host.plots import pyplot
+
+    cost = load_cost_model(request.cost)
+    pyplot()
+    scenes = [load_scene(scene) for scene in request.scenes]
+    points = []
+    with compiling(talk):
+        for scene in scenes:
+            points += sweep(
+                scene,
+                cost,
+                request.sizes,
+                request.pictures,
+                request.search,
+                request.along,
+                request.settings,
+                talk.phase,
+            )
+    talk.phase("fitting")
+    return write_report(request.folder, points, fits_of(points), cost, request.command)

@@ -1,0 +1,165 @@
+"""The command `raygrid simulate`."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from raygrid.host.load import check_name
+from raygrid.host.outputs import check_different, check_path, check_picture_path, check_side, write_result
+from raygrid.host.progress import Talk
+from raygrid.node.errors import OutputError
+
+if TYPE_CHECKING:
+    from raygrid.host.simulate import Simulated
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the command line asks for.
+
+    scene     path of the scene
+    shape     processors on each axis
+    cost      name or path of a cost model
+    search    list, tree, or None: as the cost model says
+    band      low and high costs, too
+    outputs, stats, table, plots   paths to write, plots being a folder
+    settings  of `raygrid.host.job.Settings`
+    """
+
+    scene: str
+    shape: tuple[int, int, int]
+    cost: str
+    search: str | None
+    band: bool
+    outputs: tuple[str, ...]
+    stats: str | None
+    table: str | None
+    plots: str | None
+    transfer: str
+    quiet: bool
+    settings: dict[str, Any]
+
+
+def run_simulate(request: Request) -> None:
+    """Read, simulate, write, and say what came out. Raises RaygridError."""
+    check_name(request.scene)
+    _check_outputs(request)
+    with Talk(request.quiet) as talk:
+        done = _simulate(request, talk)
+        stats = _write(request, done, talk)
+    for line in summary(done, stats):
+        write_result(line)
+
+
+def _simulate(request: Request, talk: Talk) -> Simulated:
+    talk.phase(f"reading {request.scene}")
+    from raygrid.host.cost_models import load_cost_model
+    from raygrid.host.job import Settings, make_job
+    from raygrid.host.load import load_scene
+
+    cost = load_cost_model(request.cost)
+    scene = load_scene(request.scene)
+    for remark in scene.remarks:
+        talk.remark(remark)
+    with compiling(talk):
+        from raygrid.host.simulate import simulate_job
+
+        job = make_job(scene, request.shape, Settings(**request.settings))
+        for output in request.outputs:
+            check_side(output, job.frame.width, job.frame.height)
+        talk.phase("simulating")
+        return simulate_job(job, cost, request.search, request.band, tell=told(talk))
+
+
+def told(talk: Talk) -> Any:
+    """A teller for `simulate_job`: the phase, events so far, and how many a second."""
+    begun = time.monotonic()
+
+    def tell(phase: str, events: int, died: int) -> None:
+        rate = events / max(time.monotonic() - begun, 1e-3) / 1e6
+        talk.phase(f"{phase}: {events / 1e6:.0f} million events, {died / 1e6:.1f} million packets done, {rate:.1f} M/s")
+
+    return tell
+
+
+def compiling(talk: Talk) -> Any:
+    """While this lasts, kernels that have to be compiled are told of."""
+    from numba.core import event
+
+    from raygrid.emulator.warm import Compilations
+
+    return event.install_listener("numba:compile", Compilations(talk.warming))
+
+
+def _check_outputs(request: Request) -> None:
+    for output in request.outputs:
+        check_picture_path(output)
+    written = [*request.outputs]
+    for path in (request.stats, request.table):
+        if path is not None:
+            check_path(path)
+            written.append(path)
+    check_different(request.scene, written)
+    if request.plots is not None:
+        from raygrid.host.plots import FILES, pyplot
+
+        if not Path(request.plots).is_dir():
+            raise OutputError(f"{request.plots}: there is no such folder for plots, wanted one that is there")
+        pyplot()
+        for name in FILES:
+            check_path(Path(request.plots) / name)
+
+
+def _write(request: Request, done: Simulated, talk: Talk) -> dict[str, Any]:
+    from raygrid.host.picture import Picture
+    from raygrid.host.simulate_stats import make_stats, save_csv
+    from raygrid.host.stats import save_stats
+
+    stats = make_stats(done)
+    picture = Picture(done.sums, done.job.frame.samples, stats)
+    for output in request.outputs:
+        talk.phase(f"writing {output}")
+        picture.save(output, request.transfer)
+    if request.stats is not None:
+        save_stats(request.stats, {"nodes": [], **stats})
+    if request.table is not None:
+        save_csv(request.table, done)
+    if request.plots is not None:
+        from raygrid.host.plots import save_plots
+
+        talk.phase("drawing plots")
+        save_plots(request.plots, done)
+    return stats
+
+
+def summary(done: Simulated, stats: dict[str, Any]) -> list[str]:
+    """What came out, for people."""
+    shares, total, queue = stats["shares"], stats["total"], stats["queue"]
+    rays = sum(total["born"][kind] for kind in ("primary", "reflected", "refracted", "shadow"))
+    lines = [
+        f"machine: {'x'.join(map(str, stats['array']))} processors, {done.cost.name} ({done.search} search), "
+        f"{stats['split']} split",
+        f"frame: {stats['ticks']:,} ticks, {_seconds(stats, 'frame')}",
+    ]
+    if done.floods:
+        lines += [f"set-up: {_seconds(stats, 'set_up')}", f"read-out: {_seconds(stats, 'read_out')}"]
+    lines += [
+        f"rays: {rays:,}; hops: {total['hops']:,}; busiest link: {stats['links']['busiest']['packets']:,} packets",
+        f"processors: {shares['working']:.1%} working, {shares['sending']:.1%} sending, {shares['waiting']:.1%} waiting; "
+        f"busiest/mean {stats['balance']:.2f}; links {shares['links']:.1%} busy",
+        f"queues: at most {queue['most']:,} packets, {queue['mean']:.2f} on average",
+        f"simulated in {done.seconds['whole']:.1f} s of wall time, {stats['simulator']['events']:,} events a frame",
+    ]
+    return lines
+
+
+def _seconds(stats: dict[str, Any], phase: str) -> str:
+    """Machine seconds, with the band in brackets if there is one."""
+    band = stats["band"]
+    middle = f"{band['middle']['seconds'][phase]:.4g} machine seconds"
+    if "low" not in band:
+        return middle
+    return f"{middle} ({band['low']['seconds'][phase]:.4g} to {band['high']['seconds'][phase]:.4g})"

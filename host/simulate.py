@@ -1,0 +1,90 @@
+"""Simulate a frame of a scene on an array, in machine time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raygrid.emulator.flood_time import Flooded, flood
+from raygrid.emulator.shared_tables import ordered
+from raygrid.emulator.simulator import Model, Phase, make_model, read_out, trace
+from raygrid.host.cost_models import LEVELS, CostModel
+from raygrid.host.job import Job
+from raygrid.host.render import add_misses
+
+Watch = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """A simulated frame.
+
+    model     who holds and bears what
+    search    list or tree
+    frames    of each level that was asked for, "middle" among them: what happened while tracing
+    floods, read_outs   of the same levels: setting the scene up, and collecting the pixels
+    sums      int64 (height, width, 3), the picture
+    seconds   wall seconds of this computer, by phase
+    """
+
+    job: Job
+    cost: CostModel
+    search: str
+    model: Model
+    frames: dict[str, Phase]
+    floods: dict[str, Flooded]
+    read_outs: dict[str, Phase]
+    sums: NDArray[np.int64]
+    seconds: dict[str, float]
+
+    @property
+    def ticks(self) -> int:
+        """Machine time of the frame: when the last service ended."""
+        return self.frames["middle"].ticks
+
+
+def simulate_job(
+    job: Job,
+    cost: CostModel,
+    search: str | None = None,
+    band: bool = True,
+    around: bool = True,
+    tell: Watch | None = None,
+) -> Simulated:
+    """Simulate one frame.
+
+    search  list or tree; None: as the cost model says
+    band    the low and the high costs, too
+    around  set-up and read-out, too
+
+    `tell(phase, events, packets that died)` is called about once a second. Raises TooLarge, ArrayError.
+    """
+    chosen = cost.file.search if search is None else search
+    begun = time.perf_counter()
+    model = make_model(job.space, job.surfaces, job.frame, chosen)
+    seconds = {"prepare": time.perf_counter() - begun, "trace": 0.0, "around": 0.0}
+    frames: dict[str, Phase] = {}
+    floods: dict[str, Flooded] = {}
+    read_outs: dict[str, Phase] = {}
+    surfaces, sums = ordered(job.surfaces), np.zeros((0, 3), np.int64)
+    for level in LEVELS if band else ("middle",):
+        prices = cost.prices(level, chosen)
+        ticks = cost.list_ticks(level, chosen, model.held)
+        frames[level], pixels = trace(model, prices, ticks, tell)
+        seconds["trace"] += frames[level].seconds
+        if level == "middle":
+            sums = pixels.sums.copy()
+            add_misses(job, sums, pixels.samples)
+        if around:
+            since = time.perf_counter()
+            description = cost.file.ticks.description[LEVELS.index(level)]
+            floods[level] = flood(job.space, surfaces, prices, description)
+            read_outs[level] = read_out(model, prices, pixels, tell)
+            seconds["around"] += time.perf_counter() - since
+    seconds["whole"] = time.perf_counter() - begun
+    picture = sums.reshape(job.frame.height, job.frame.width, 3)
+    return Simulated(job, cost, chosen, model, frames, floods, read_outs, picture, seconds)
