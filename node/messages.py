@@ -128,7 +128,7 @@ def _check_tree(value: dict[str, Any] | list[Any], deeper: int) -> None:
 
 
 def pack_surfaces(corner: int, batch: Batch) -> bytes:
-    """Surface descriptions in machine coordinates, that entered the array at this corner (0 to 7).
+    """Surface descriptions in machine coordinates, that entered the array at this corner (0 to 7), or moved (8).
 
     Raises ProtocolError if they are too long for a message.
     """
@@ -145,11 +145,11 @@ def pack_surfaces(corner: int, batch: Batch) -> bytes:
 
 
 def read_surfaces(message: bytes, count: int) -> tuple[int, Batch]:
-    """(corner, descriptions) of a SURFACES message. Raises ProtocolError for anything else."""
+    """(corner, descriptions) of a SURFACES message; corner 8: moved. Raises ProtocolError for anything else."""
     if len(message) < HEAD + SURFACE_HEADER.size:
         raise ProtocolError(f"surfaces came in {len(message) - HEAD} bytes, wanted {SURFACE_HEADER.size} or more")
     corner, kind_number, zero, n, points = SURFACE_HEADER.unpack_from(message, HEAD)
-    if corner > 7 or kind_number not in Kind.__members__.values() or zero != 0 or n != count or n == 0:
+    if corner > 8 or kind_number not in Kind.__members__.values() or zero != 0 or n != count or n == 0:
         raise ProtocolError(f"surfaces came with corner {corner}, kind {kind_number}, {n} of {count}")
     kind = Kind(kind_number)
     polygon = kind == Kind.POLYGON
