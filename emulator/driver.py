@@ -95,7 +95,9 @@ class Driver:
         self._sums: NDArray[np.int64] | None = None
         self._samples: NDArray[np.int64] | None = None
         self._pixels_received = 0
-        self.held: Held | None = None  # what the nodes hold, as far as that is known
+        self.held: Held | None = (
+            None  # the frame of a shot that the nodes hold; None: it is not known, or does not move
+        )
         self.waves = 0
         self.most_in_flight = 0
 
@@ -203,7 +205,7 @@ class Driver:
         self._settle()
         self._quiet = False
         self.wave(space_order(space))
-        if moves is not None:
+        if moves is not None and moves.groups.many:
             self.wave(groups_order(moves))
         dealt = 0
         for corner, batch in _deal(surfaces, corners(self.shape), moves):
@@ -216,7 +218,7 @@ class Driver:
         self._wait_arrived(dealt, -1)
         self.wave({"do": "build"})
         self._quiet = True
-        self.held = Held(space, surfaces, moves, dealt)
+        self.held = None if moves is None else Held(space, surfaces, moves, dealt)
 
     def move(self, moves: Moves) -> bool:
         """Bring the surfaces of the last load to where `moves` has them, by telling nodes only what has changed.
@@ -225,7 +227,7 @@ class Driver:
         held; ArrayError without a load of the same groups before.
         """
         held, self.held = self.held, None
-        if held is None or held.moves is None or held.moves.groups is not moves.groups:
+        if held is None or held.moves.groups is not moves.groups:
             raise ArrayError("an increment came without a load of the same groups before it")
         try:
             order = increment(held, moves)

@@ -19,7 +19,7 @@ from raygrid.node.surfaces import Batch, SurfaceSet
 
 
 class Held(NamedTuple):
-    """What the nodes of an array hold together.
+    """The frame of a shot that the nodes of an array hold together.
 
     surfaces  as they were dealt, those that move at rest
     dealt     how many descriptions the host has sent since the world was new
@@ -27,19 +27,15 @@ class Held(NamedTuple):
 
     space: Space
     surfaces: SurfaceSet
-    moves: Moves | None
+    moves: Moves
     dealt: int
 
 
 def is_held(held: Held | None, space: Space, surfaces: SurfaceSet, moves: Moves | None) -> bool:
     """Whether an array that holds `held` needs increments only."""
-    if held is None or held.surfaces is not surfaces or not np.array_equal(held.space.planes, space.planes):
+    if held is None or moves is None or held.surfaces is not surfaces or held.moves.groups is not moves.groups:
         return False
-    if held.space.step != space.step:
-        return False
-    if moves is None or held.moves is None:
-        return moves is held.moves
-    return held.moves.groups is moves.groups
+    return held.space.step == space.step and np.array_equal(held.space.planes, space.planes)
 
 
 def check_moves(space: Space, surfaces: SurfaceSet, moves: Moves, changed: NDArray[np.bool_] | None = None) -> None:
@@ -64,7 +60,6 @@ def _check_inside(space: Space, batch: Batch) -> None:
 
 def increment(held: Held, moves: Moves) -> dict[str, Any] | None:
     """The order that brings the nodes from what they hold to `moves`; None if nothing moves. Raises SceneError."""
-    assert held.moves is not None
     if moves.motions.shape != held.moves.motions.shape:
         raise SceneError(f"{len(moves.motions)} motions came, wanted {len(held.moves.motions)}, one for each group")
     changed = (moves.motions != held.moves.motions).any(axis=1)

@@ -16,6 +16,7 @@ from raygrid.host.scene import Scene
 from raygrid.node.errors import SceneError
 from raygrid.node.frame import POINT
 from raygrid.node.lattice import HALF, Space, World, world_around
+from raygrid.node.motions import Moves
 from raygrid.node.orders import MAX_SIDE
 from raygrid.node.packets import MAX_DEPTH, MAX_LIGHTS, MAX_SAMPLES
 from raygrid.node.surfaces import SurfaceSet
@@ -48,7 +49,11 @@ class Settings:
 
 @dataclass(frozen=True)
 class Job:
-    """A scene ready for an array of one shape."""
+    """A scene ready for an array of one shape.
+
+    moves   of a frame of a shot, where its groups are; surfaces in groups are at rest then
+    number  of that frame
+    """
 
     scene: Scene
     world: World
@@ -56,6 +61,8 @@ class Job:
     surfaces: SurfaceSet
     frame: Frame
     settings: Settings
+    moves: Moves | None = None
+    number: int | None = None
 
     @property
     def pixels(self) -> int:
@@ -66,7 +73,14 @@ class Job:
 def make_job(
     scene: Scene, shape: tuple[int, int, int], settings: Settings, wait: Callable[[], None] | None = None
 ) -> Job:
-    """Raises SceneError for settings that cannot be. `wait`: as of `raygrid.emulator.split.split`."""
+    """The job of a scene, of a shot's first frame. Raises SceneError for settings that cannot be.
+
+    `wait`: as of `raygrid.emulator.split.split`.
+    """
+    if scene.shot is not None:
+        from raygrid.host.shot_jobs import jobs_of
+
+        return next(jobs_of(scene, shape, settings, [1], wait))
     if len(scene.surfaces) == 0:
         raise SceneError(f"{scene.name}: the scene has no surfaces")
     if settings.split not in SPLITS:
@@ -76,12 +90,13 @@ def make_job(
     except SceneError as error:
         raise SceneError(f"{scene.name}: {error}") from None
     surfaces = world.surfaces(scene.surfaces)
-    frame = _frame(scene, world, settings)
+    frame = make_frame(scene, world, settings)
     space = split(settings.split, shape, world, surfaces, frame, wait)
     return Job(scene, world, space, surfaces, frame, settings)
 
 
-def _frame(scene: Scene, world: World, settings: Settings) -> Frame:
+def make_frame(scene: Scene, world: World, settings: Settings) -> Frame:
+    """The facts of a frame in machine coordinates. Raises SceneError for settings that cannot be."""
     width, height = _pair(_first(settings.size, scene.size, DEFAULT_SIZE))
     samples = _whole("samples a pixel", _first(settings.samples, scene.samples, 1))
     depth = _whole("depth", _first(settings.depth, scene.depth, DEFAULT_DEPTH))

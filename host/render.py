@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.emulator.driver import BUDGET, Driver, Progress
+from raygrid.emulator.increments import is_held
 from raygrid.emulator.limits import read_resources
 from raygrid.host.job import Job, rays_enter
 from raygrid.host.picture import Picture
@@ -49,13 +50,21 @@ def render_job(
             watch("trace", now)
 
     if not loaded:
-        timed("load", lambda: driver.load(job.space, job.surfaces))
+        timed("load", lambda: _bring(driver, job))
     progress = timed("trace", lambda: driver.trace(job.frame, budget, tell))
     sums, samples = timed("collect", lambda: driver.collect(job.pixels))
     _add_misses(job, sums, samples)
     frame = job.frame
     stats = make_stats(job, driver, progress, seconds)
     return Picture(sums.reshape(frame.height, frame.width, 3), frame.samples, stats)
+
+
+def _bring(driver: Driver, job: Job) -> None:
+    """Let the nodes hold the job's surfaces: by an increment if they hold another frame of the same shot."""
+    if is_held(driver.held, job.space, job.surfaces, job.moves) and job.moves is not None:
+        driver.move(job.moves)
+    else:
+        driver.load(job.space, job.surfaces, job.moves)
 
 
 def _check_memory(job: Job) -> None:

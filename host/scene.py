@@ -7,7 +7,7 @@ about arrays of processors: coordinates are the scene's own, and data is float64
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 from raygrid.host.cameras import Camera
 from raygrid.node.frame import DIRECTIONAL
 from raygrid.node.surfaces import Kind, SurfaceSet
+
+if TYPE_CHECKING:
+    from raygrid.host.shot import Shot
 
 Colour = tuple[float, float, float]
 
@@ -35,6 +38,7 @@ class Scene:
     min_weight  least weight of a ray that the file asks for, or None
     highlights  whether the materials' highlights are to be used
     remarks     one line each on what was dropped or invented
+    shot        what changes from frame to frame, None if nothing does; surfaces are at rest then
     """
 
     name: str
@@ -49,6 +53,7 @@ class Scene:
     min_weight: float | None = None
     highlights: bool = False
     remarks: tuple[str, ...] = ()
+    shot: Shot | None = None
 
 
 def describe(scene: Scene) -> dict[str, Any]:
@@ -70,6 +75,8 @@ def describe(scene: Scene) -> dict[str, Any]:
         "depth": scene.depth,
         "min_weight": scene.min_weight,
         "highlights": scene.highlights,
+        "frames": None if scene.shot is None else scene.shot.frames,
+        "groups": [] if scene.shot is None else list(scene.shot.names),
         "remarks": list(scene.remarks),
     }
 
