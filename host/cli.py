@@ -39,6 +39,8 @@ Examples:
   raygrid render scenes/glass.toml --array 3x3x3 --size 800x600 --samples 4 -o glass.png
   raygrid render bunny.ply -o bunny.png -o bunny.npy --stats bunny.json
   raygrid render balls.nff --array 4x4x1 --split uniform --batch 1
+  raygrid render scenes/mobile.toml --frames 1-48 -o 'out/mobile_%04d.png' -o out/mobile.gif
+  raygrid render scenes/room.glb --turntable 72 -o out/round.webp
 
 .npy holds the exact sums as int64, height x width x 3: linear radiance x 2^24, added over the samples of a pixel.
 docs/stats.md says what the statistics mean.
@@ -85,6 +87,23 @@ class Shape(AnyType):
             return parse_shape(str(value))
         except ValueError as error:
             self.fail(str(error), param, ctx)
+
+
+class Frames(AnyType):
+    """Frames of a shot, `1-48` or `7`."""
+
+    name = "frames"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        """Raises a usage error for anything else."""
+        if isinstance(value, tuple):
+            return value
+        ends = str(value).split("-")
+        right = len(ends) <= 2 and all(end.isascii() and end.isdigit() and len(end) <= 7 for end in ends)
+        first, last = (int(ends[0]), int(ends[-1])) if right else (0, 0)
+        if not 1 <= first <= last:
+            self.fail(f"{_shorten(value)} came, wanted frames such as 1-48 or 7", param, ctx)
+        return first, last
 
 
 class Number(AnyType):
@@ -149,6 +168,11 @@ def cli() -> None:
 @click.option("-o", "--output", "outputs", multiple=True, type=click.Path(), metavar="FILE",
               help="Picture (.png .jpg .webp .tif .bmp .ppm), or .npy of the exact sums; may be repeated.  "
                    "[default: the scene's name with .png, here]")
+@click.option("--frames", type=Frames(), metavar="A-B",
+              help="Render these frames of a shot; FILE then has a number such as %04d in its name, or is .gif .webp .mp4.")
+@click.option("--turntable", type=Number(1, 1_000_000), metavar="N", help="The camera goes once round the scene in N frames.")
+@click.option("--turntable-scene", type=Number(1, 1_000_000), metavar="N",
+              help="The scene turns once in N frames, under lights that stay.")
 @click.option("--stats", type=click.Path(), metavar="FILE", help="Write what the machine did as JSON.")
 @click.option("--patience", type=Number(0.1, 1e9), default=30.0, show_default=True, metavar="SECONDS",
               help="Time without any progress after which the array is taken to hang.")
@@ -159,11 +183,15 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
 
     SCENE is a file of one of these kinds: .nff .obj .ply .stl .glb .gltf .toml
     """
+    from raygrid.host.command_frames import turntable_of
     from raygrid.host.command_render import Request, default_outputs, run_render
 
-    names = ("batch", "budget", "transfer", "stats", "patience", "quiet")
+    names = ("batch", "budget", "transfer", "stats", "patience", "quiet", "frames")
     machine = {name: options.pop(name) for name in names}
-    run_render(Request(scene, shape, outputs or default_outputs(scene), **machine, settings=options))
+    turntable = turntable_of(options.pop("turntable"), options.pop("turntable_scene"))
+    several = turntable is not None or machine["frames"] is not None
+    outputs = outputs or default_outputs(scene, several)
+    run_render(Request(scene, shape, outputs, **machine, settings=options, turntable=turntable))
 
 
 @cli.command(epilog=INFO_EXAMPLES)

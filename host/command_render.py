@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from raygrid.emulator.array import Array
+from raygrid.host.command_frames import Turntable, run_frames, wants_frames
 from raygrid.host.load import check_name
 from raygrid.host.outputs import check_different, check_path, check_picture_path, check_side, write_result
 from raygrid.host.progress import Talk
@@ -30,6 +31,8 @@ class Request:
     outputs   paths of pictures and sums
     stats     path of the statistics, or None
     settings  of `raygrid.host.job.Settings`
+    frames    first and last frame of a shot, or None
+    turntable make the scene a shot of one turn, or None
     """
 
     scene: str
@@ -42,10 +45,15 @@ class Request:
     patience: float
     quiet: bool
     settings: dict[str, Any]
+    frames: tuple[int, int] | None = None
+    turntable: Turntable | None = None
 
 
 def run_render(request: Request) -> None:
     """Launch, read, load, trace, collect, write. Raises RaygridError."""
+    if wants_frames(request):
+        run_frames(request)
+        return
     begun = time.perf_counter()
     check_name(request.scene)
     _check_outputs(request)
@@ -96,6 +104,8 @@ def _read_job(request: Request, talk: Talk, wait_warm: Callable[[], None]) -> Jo
     scene = load_scene(request.scene)
     for remark in scene.remarks:
         talk.remark(remark)
+    if scene.shot is not None and scene.shot.frames > 1:
+        talk.remark(f"frame 1 of {scene.shot.frames}; --frames 1-{scene.shot.frames} renders all")
     job = make_job(scene, request.shape, Settings(**request.settings), wait_warm)
     for output in request.outputs:
         check_side(output, job.frame.width, job.frame.height)
@@ -112,9 +122,9 @@ def _check_outputs(request: Request) -> None:
     check_different(request.scene, written)
 
 
-def default_outputs(scene: str) -> tuple[str, ...]:
-    """A .png of the scene's name, in the current directory."""
-    return (Path(scene).stem + ".png",)
+def default_outputs(scene: str, several: bool = False) -> tuple[str, ...]:
+    """A .png of the scene's name, in the current directory; of several frames numbered ones."""
+    return (Path(scene).stem.replace("%", "_") + "_%04d.png" if several else Path(scene).stem + ".png",)
 
 
 def _summary(picture: Picture) -> tuple[str, str]:

@@ -36,6 +36,7 @@ def make_stats(job: Job, driver: Driver, progress: Progress, seconds: dict[str, 
     return {
         "version": VERSION,
         "scene": job.scene.name,
+        "frame": job.number,
         "surfaces": len(job.surfaces),
         "array": list(driver.shape),
         "split": job.settings.split,
