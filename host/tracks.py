@@ -77,11 +77,11 @@ class Track:
 def make_track(frames: ArrayLike, values: ArrayLike, way: str = "linear", turns: bool = False) -> Track:
     """A checked track. Raises SceneError for keys that are out of order, not finite, or none."""
     at, rows = np.asarray(frames, np.float64), np.asarray(values, np.float64)
-    rows = rows.reshape(len(at), -1)
     if len(at) == 0 or way not in WAYS:
         raise SceneError(
             f"a track came with {len(at)} keys and the interpolation {way!r}, wanted keys and one of {WAYS}"
         )
+    rows = rows.reshape(len(at), -1)
     if not (np.isfinite(at).all() and np.isfinite(rows).all()):
         raise SceneError("a key has a number that is not finite")
     if (np.diff(at) <= 0.0).any():
