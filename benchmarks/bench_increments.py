@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from functools import partial
 from pathlib import Path
 from statistics import median
 
@@ -86,14 +87,12 @@ def tables(shapes: tuple[tuple[int, int, int], ...] = ((2, 2, 2), (3, 3, 3))) ->
         space = make_space((2.0**-24,) * 3, [[LATTICE * k // n for k in range(n + 1)] for n in shape])
         with Array.launch(shape) as array:
             driver = array.driver
-            full = _measured(driver, [lambda d=driver: d.load(space, surfaces, moves)] * REPEATS)
-            near = [lambda d=driver, m=shifted(0.02): d.move(m) for _ in range(REPEATS)]
-            far = [lambda d=driver, m=shifted(0.8): d.move(m) for _ in range(REPEATS)]
-            still = [lambda d=driver: d.move(d.held.moves)] * REPEATS
+            full = _measured(driver, [partial(driver.load, space, surfaces, moves)] * REPEATS)
+            near = [partial(driver.move, shifted(0.02)) for _ in range(REPEATS)]
+            far = [partial(driver.move, shifted(0.8)) for _ in range(REPEATS)]
             rows = [("full load", full)]
             rows += [("increment, moved by 2 % of the box", _measured(driver, near))]
             rows += [("increment, moved anywhere", _measured(driver, far))]
-            rows += [("nothing moved (camera or lights only)", _measured(driver, still))]
         head = f"| {'x'.join(map(str, shape))} | bytes | messages | wall time | times fewer bytes |\n|---|---|---|---|---|\n"
         parts.append(head + "\n".join(_row(name, found, full) for name, found in rows))
     return "\n\n".join(parts)

@@ -13,35 +13,49 @@ from __future__ import annotations
 
 import contextlib
 import secrets
+import time
 from collections.abc import Callable
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import zmq
 
-from raygrid.node.errors import ArrayError, LostProcess, RaygridError
+from raygrid.node.errors import ArrayError, LostProcess, ProtocolError, RaygridError, Stuck
 
-from .launch import Ended, Nursery, Warming
+from .launch import Ended, Nursery
 from .limits import check_fits
-from .places import Index, Place, endpoint, host_endpoint, process_state
+from .places import LAST_EPOCH, Index, Place, host_endpoint
 
 if TYPE_CHECKING:
+    from raygrid.node.faulty import FaultPlan
     from raygrid.node.pair import Pair
 
+    from .crew import Crew, NodeState
     from .driver import Driver
+    from .lines import Words
 
 BATCH = 4096  # most packets a message
-EPOCH = 0
+TRIES = 3  # epochs that are begun before an array counts as one that cannot be
 WARM_SECONDS = 300.0  # a first run compiles; nothing takes longer than this on a slow machine
+READY_SECONDS, READY_SECONDS_A_NODE = 10.0, 0.05  # for the links to come up; longer, and somebody else took one
 END_SECONDS = 5.0
+FAULT_PATIENCE = 3.0  # seconds: with faults on purpose a message that never comes is the likely reason of silence
+LOOK_SECONDS = 0.25  # how often the states of silent processes are looked at
+STOPPED_SECONDS = 0.75  # a node that is stopped (SIGSTOP) for longer than this is lost
+FAULTS = (LostProcess, Stuck, ProtocolError)
 
 
 class Array:
     """An array of node processes on this computer. Use as a context manager; nothing is left behind.
 
-    shape    processors on each axis
-    batch    most packets a message, 1 or more
-    patience seconds without any progress after which the array is taken to hang (`driver.PATIENCE`)
+    shape     processors on each axis
+    batch     most packets a message, 1 or more
+    patience  seconds without any progress after which the array is taken to hang (`driver.PATIENCE`)
+    epoch     number of resets so far; -1 before the array was ready
+    restarts  nodes that were forked anew so far
+    fault     what goes wrong on purpose on links between neighbours, for experiments; patience is FAULT_PATIENCE then
+    injected  messages that were hit by it so far
+    on_words  called as on_words(index, words) with what a node says on its line, but for its acknowledgements
     """
 
     def __init__(
@@ -50,19 +64,27 @@ class Array:
         batch: int = BATCH,
         patience: float | None = None,
         on_warming: Callable[[int, int, str], None] | None = None,
+        fault: FaultPlan | None = None,
     ) -> None:
         check_fits(shape)
-        self.shape, self.batch, self.patience = shape, batch, patience
+        if fault is not None:
+            patience = min(FAULT_PATIENCE, FAULT_PATIENCE if patience is None else patience)
+        self.shape, self.batch, self.patience, self.fault = shape, batch, patience, fault
+        self.injected = 0
+        self.epoch, self.restarts = -1, 0
+        self.on_words: Callable[[Index, Words], None] | None = None
         self._on_warming = on_warming
         self._nursery: Nursery | None = None
+        self._crew: Crew | None = None
         self._place: Place | None = None
         self._context: zmq.Context[Any] | None = None
         self._pairs: dict[int, Pair] = {}
         self._poller = zmq.Poller()
         self._driver: Driver | None = None
         self._closing = False
-        self._lost: LostProcess | None = None
-        self.pids: list[int] = []
+        self._lost: RaygridError | None = None
+        self._looked = 0.0
+        self._stopped_since: dict[Index, float] = {}
 
     @classmethod
     def launch(cls, shape: Index, **options: Any) -> Array:
@@ -78,10 +100,19 @@ class Array:
 
     @property
     def driver(self) -> Driver:
-        """What loads, traces and collects. Raises ArrayError if the array is not ready."""
+        """What loads, traces and collects. Raises ArrayError if the array is not ready, or why it ceased to be."""
         if self._driver is None:
-            raise ArrayError("the array is not ready: it was not launched, or it was closed")
+            raise self._lost or ArrayError("the array is not ready: it was not launched, or it was closed")
         return self._driver
+
+    @property
+    def pids(self) -> list[int]:
+        """The processes of the nodes, x fastest; they change when nodes are forked anew."""
+        return [] if self._crew is None else list(self._crew.pids.values())
+
+    def nodes(self) -> list[NodeState]:
+        """Every node, x fastest, with its process and that process' state ("running", "waiting", "stopped", "dead")."""
+        return [] if self._crew is None else self._crew.states()
 
     def begin(self) -> None:
         """Start the nursery, which warms up while the caller does other things."""
@@ -95,92 +126,158 @@ class Array:
         self._nursery.wait_warm(WARM_SECONDS)
 
     def wait_ready(self) -> None:
-        """Fork the nodes once the nursery is warm, and wait until every link is up."""
-        if self._nursery is None or self._place is None:
-            raise ArrayError("the array has not begun")
+        """Fork the nodes once the nursery is warm, and wait until every link is up.
+
+        Raises LostProcess, Stuck or ProtocolError if that fails several times, ArrayError if nodes cannot be forked.
+        """
+        self.wait_warm()
+        assert self._nursery is not None
+        from .crew import Crew
+
+        self._crew = Crew(self._nursery)
+        self._context = zmq.Context(io_threads=1)
+        self._begin_epochs()
+
+    def reset(self) -> None:
+        """The reset line: whatever the array's state, after this it is empty, in a new epoch, and ready.
+
+        Nodes that live drop all they hold and open new links; those that are dead, stopped or do not answer within
+        a second are forked anew. If the nodes cannot be brought to work together, or the nursery is gone, the whole
+        array is launched anew. Raises ArrayError and its kinds, or ProtocolError, if that fails as well.
+        """
+        if self._closing or self._place is None:
+            raise ArrayError("the array cannot be reset: it was not launched, or it was closed")
+        try:
+            if self._crew is not None and self._nursery is not None and self._nursery.alive:
+                with contextlib.suppress(*FAULTS):
+                    self._begin_epochs()
+                    return
+            restarts = self.restarts + len(self.pids)
+            self._drop()
+            self.begin()
+            self.wait_ready()
+            self.restarts = restarts
+        except RaygridError as error:
+            self._lost = error
+            raise
+
+    def _begin_epochs(self) -> None:
+        """Begin an epoch, and another if that goes wrong. Raises as the last one did."""
+        for left in reversed(range(TRIES)):
+            try:
+                self._begin_epoch()
+                return
+            except FAULTS:
+                if left == 0 or self._nursery is None or not self._nursery.alive:
+                    raise
+
+    def _begin_epoch(self) -> None:
+        """Drop the links, bring all nodes to the next epoch, and wait until all links are up."""
         from raygrid.node.flood import corners
         from raygrid.node.pair import Pair
 
         from .driver import PATIENCE, Driver
         from .topology import host_links
+        from .wiring import node_configs
 
-        self.wait_warm()
+        assert self._crew is not None
+        assert self._place is not None
+        assert self._context is not None
+        self._hang_up()
+        self._lost = None
+        self._stopped_since.clear()
+        first = not self._crew.pids
+        self.epoch = (self.epoch + 1) & LAST_EPOCH  # after the last one nodes refuse the first, and are forked anew
         machine = secrets.token_hex(8)
-        self.pids = self._nursery.launch(self._configs(machine))
-        self._context = zmq.Context(io_threads=1)
         for corner, index in corners(self.shape).items():
-            pair = Pair(self._context, host_endpoint(self._place.path, EPOCH, index), bind=True)
+            pair = Pair(self._context, host_endpoint(self._place.path, self.epoch, index), bind=True)
             self._pairs[corner] = pair
             self._poller.register(pair.socket, zmq.POLLIN)
-        self._poller.register(self._nursery.fileno(), zmq.POLLIN)
-        links = host_links(self.shape, self._pairs, machine, EPOCH)
+        told = {"batch": self.batch, "fault": self.fault}
+        forked = self._crew.begin(node_configs(self.shape, self._place.path, self.epoch, machine, **told))
+        self.restarts += 0 if first else forked
+        for descriptor in self._crew.filenos():
+            self._poller.register(descriptor, zmq.POLLIN)
+        links = host_links(self.shape, self._pairs, machine, self.epoch)
         patience = PATIENCE if self.patience is None else self.patience
-        self._driver = Driver(self.shape, links, self._pump, patience, self._why_silent)
+        ready = READY_SECONDS + READY_SECONDS_A_NODE * len(self.pids)
+        self._driver = Driver(self.shape, links, self._pump, min(patience, ready), self._why_silent)
         self._driver.ready()
+        self._driver.patience = patience
+        self._place.forget_epochs_before(self.epoch)
 
-    def _configs(self, machine: str) -> list[dict[str, Any]]:
-        """What each node is told: itself, its ports and their endpoints, and nothing of any other node."""
-        from raygrid.node.flood import corners
-        from raygrid.node.walk import HOST
+    def _hang_up(self) -> None:
+        """Close the host's ends of the links."""
+        self._driver = None
+        self._poller = zmq.Poller()
+        for pair in self._pairs.values():
+            pair.close()
+        self._pairs = {}
 
-        from .topology import indices, neighbour_links
+    # --- while it lives ------------------------------------------------------------------------------
 
-        assert self._place is not None
-        place = self._place.path
-        links: dict[Index, list[dict[str, Any]]] = {index: [] for index in indices(self.shape)}
-        for wire in neighbour_links(self.shape):
-            name = endpoint(place, EPOCH, wire.lower, wire.axis)
-            links[wire.lower].append({"port": wire.lower_port, "endpoint": name, "bind": True})
-            links[wire.upper].append({"port": wire.upper_port, "endpoint": name, "bind": False})
-        for index in corners(self.shape).values():
-            links[index].append({"port": HOST, "endpoint": host_endpoint(place, EPOCH, index), "bind": False})
-        return [
-            {
-                "index": list(index),
-                "shape": list(self.shape),
-                "epoch": EPOCH,
-                "machine": machine,
-                "batch": self.batch,
-                "links": links[index],
-            }
-            for index in indices(self.shape)
-        ]
+    def check(self) -> None:
+        """Look after an array that nobody waits for: take in what has come, and look at the processes.
+
+        Raises LostProcess, naming the node, if one ended or is stopped, ProtocolError if one gave up its links.
+        """
+        self._pump(0.0)
+        self._look()
 
     def _pump(self, seconds: float) -> None:
         """Wait for messages of corners and events of processes, and take them in."""
         if self._lost is not None:
             raise self._lost
         corner_of = {pair.socket: corner for corner, pair in self._pairs.items()}
-        for ready, _ in self._poller.poll(int(seconds * 1000)):
-            if ready in corner_of:
-                self.driver.receive(corner_of[ready])
-            else:
-                self._take_events()
-        for link in self.driver.links.values():
-            if link.choked:
-                link.push()
+        found = self._poller.poll(int(seconds * 1000))
+        try:
+            for ready, _ in found:
+                if ready in corner_of:
+                    self.driver.receive(corner_of[ready])
+                else:
+                    self._hear()
+            for link in self.driver.links.values():
+                if link.choked:
+                    link.push()
+            if not found:
+                self._look()
+        except FAULTS as error:
+            self._lost = error  # and say so again, until the reset
+            raise
+
+    def _hear(self) -> None:
+        """Take in the ends of processes and what nodes say on their lines."""
+        assert self._crew is not None
+        for event in self._crew.hear():
+            if isinstance(event, Ended):
+                if not (self._closing and event.code == 0):
+                    raise LostProcess(f"node {_name(event.index)} (pid {event.pid}) ended: {event.why}")
+            elif event.words.get("is") == "broken":
+                if event.words.get("epoch") == self.epoch:
+                    pid = self._crew.pids[event.index]
+                    raise ProtocolError(f"node {_name(event.index)} (pid {pid}): {event.words.get('why')}")
+            elif event.words.get("is") == "injected":
+                self.injected += 1
+            elif event.words.get("is") != "reset" and self.on_words is not None:
+                self.on_words(event.index, event.words)
+
+    def _look(self) -> None:
+        """Look for stopped nodes, now and then: they send nothing and do not end."""
+        now = time.monotonic()
+        if now - self._looked < LOOK_SECONDS:
+            return
+        self._looked = now
+        stopped = {node.index: node for node in self.nodes() if node.state == "stopped"}
+        self._stopped_since = {index: self._stopped_since.get(index, now) for index in stopped}
+        for index, since in self._stopped_since.items():
+            if now - since >= STOPPED_SECONDS:
+                self._lost = LostProcess(f"node {_name(index)} (pid {stopped[index].pid}) is stopped")
+                raise self._lost
 
     def _why_silent(self) -> str:
         """Which nodes do not run, and why: "node 1,0,0 (pid 17) is stopped"."""
-        from .topology import indices
-
-        states = {"T": "stopped", "t": "stopped by a debugger", "Z": "dead", "D": "waiting for the kernel"}
-        found = []
-        for pid, index in zip(self.pids, indices(self.shape), strict=True):
-            state = states.get(process_state(pid))
-            if state is not None:
-                found.append(f"node {','.join(map(str, index))} (pid {pid}) is {state}")
-        return "; ".join(found[:8])
-
-    def _take_events(self) -> None:
-        assert self._nursery is not None
-        for event in self._nursery.read_events():
-            if isinstance(event, Ended) and not (self._closing and event.code == 0):
-                place = ",".join(map(str, event.index))
-                self._lost = LostProcess(f"node {place} (pid {event.pid}) ended: {event.why}")
-                raise self._lost
-            if isinstance(event, Warming) and self._on_warming is not None:
-                self._on_warming(event.done, event.total, event.what)
+        lame = [node for node in self.nodes() if node.state not in ("running", "waiting")]
+        return "; ".join(f"node {_name(node.index)} (pid {node.pid}) is {node.state}" for node in lame[:8])
 
     def close(self) -> None:
         """End all processes, close all sockets, remove all files. May be called twice, and at any time."""
@@ -191,19 +288,25 @@ class Array:
                     self._driver.patience = min(self._driver.patience, END_SECONDS)
                     self._driver.end()
         finally:
-            self._driver = None
-            for pair in self._pairs.values():
-                pair.close()
-            self._pairs = {}
-            if self._context is not None:
-                self._context.destroy(linger=0)
-                self._context = None
-            if self._nursery is not None:
-                self._nursery.end(END_SECONDS)
-                self._nursery = None
-            if self._place is not None:
-                self._place.remove()
-                self._place = None
+            self._drop()
+
+    def _drop(self) -> None:
+        """End all processes, close all sockets, remove all files, without a goodbye."""
+        self._hang_up()
+        if self._context is not None:
+            self._context.destroy(linger=0)
+            self._context = None
+        crew, self._crew = self._crew, None
+        nursery, self._nursery = self._nursery, None
+        place, self._place = self._place, None
+        try:
+            if nursery is not None:
+                nursery.end(END_SECONDS)
+        finally:
+            if crew is not None:
+                crew.close()
+            if place is not None:
+                place.remove()
 
     def __enter__(self) -> Array:
         return self
@@ -214,3 +317,7 @@ class Array:
         if error is not None:
             self._driver = None  # nothing more is asked of an array that failed
         self.close()
+
+
+def _name(index: Index) -> str:
+    return ",".join(map(str, index))

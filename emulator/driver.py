@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.node.errors import ArrayError, ProtocolError, SceneError, Stuck
+from raygrid.node.errors import ArrayError, Garbled, ProtocolError, SceneError, Stuck
 from raygrid.node.flood import corners
 from raygrid.node.increments import pieces
 from raygrid.node.lattice import Space
@@ -145,7 +145,7 @@ class Driver:
         if answer.get("wave") != self._wave_number:
             raise ProtocolError(f"wave {self._wave_number} ({order['do']}) came back as another one")
         if sums[REFUSED]:
-            raise ArrayError(f"{sums[REFUSED]} times a node refused what came: " + "; ".join(answer["refusals"]))
+            raise Garbled(f"{sums[REFUSED]} times a node refused what came: " + "; ".join(answer["refusals"]))
         return answer
 
     def _wait(self, done: Callable[[], bool], what: str) -> None:
@@ -324,7 +324,7 @@ class Driver:
             order = {"do": "trace", "quota": 0}
         self._wait(lambda: self._pixels_received >= born, "all pixel packets are here")
         if self._pixels_received != born:
-            raise ArrayError(f"{self._pixels_received} pixel packets came, {born} were born")
+            raise Garbled(f"{self._pixels_received} pixel packets came, {born} were born")
         result = self._sums, self._samples
         self._sums = self._samples = None
         self._quiet = True

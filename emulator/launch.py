@@ -28,7 +28,8 @@ from typing import Any, NamedTuple, Self
 
 from raygrid.node.errors import ArrayError, LostProcess
 
-from .nursery import DEBUG, LAST_WAIT, Control, Message, open_pidfd
+from .control import Control, Message
+from .nursery import DEBUG, LAST_WAIT, open_pidfd
 from .places import Index
 
 LONGEST_TAIL = 16_384  # characters of stderr that are kept
@@ -102,6 +103,7 @@ class Nursery:
         self._on_warming = on_warming
         self._pids: dict[int, Index] = {}
         self._events: list[Event] = []
+        self._lines: dict[int, int] = {}
         self._asked: Sequence[Message] = ()  # configs of the launch under way
         self._reply: Message | None = None
         self._dead = self._ended = False
@@ -204,7 +206,21 @@ class Nursery:
         reply: Message = self._reply or {}
         if "pids" not in reply:
             raise ArrayError(f"the array could not be launched: {reply['why']}")
-        return list(reply["pids"])
+        pids, lines = list(reply["pids"]), self._control.descriptors
+        if len(lines) != len(pids):
+            raise ArrayError(f"{len(lines)} lines to {len(pids)} nodes came: this process has no descriptors left")
+        self._lines.update(zip(pids, lines, strict=True))
+        lines.clear()
+        return pids
+
+    def take_line(self, pid: int) -> int:
+        """The descriptor of the host's end of the line to a node that was launched; from now on the caller's."""
+        return self._lines.pop(pid)
+
+    def kill(self, pids: Sequence[int]) -> None:
+        """Kill these nodes with SIGKILL; those that have ended already are passed over. Their ends come as events."""
+        self._check_alive()
+        self._control.send({"do": "kill", "pids": list(pids)})
 
     def read_events(self) -> list[Event]:
         """What has happened since the last call, oldest first, without waiting; nothing after `end`.
@@ -292,7 +308,7 @@ class Nursery:
             index: Index = message["index"]
             self._pids.pop(message["pid"], None)
             self._events.append(Ended(message["pid"], index, message["status"], self._stderr.take(index)))
-        else:  # launched, or refused
+        elif kind != "lines":  # launched, or refused
             indices = (tuple(config["index"]) for config in self._asked)
             self._pids.update(zip(message.get("pids", ()), indices, strict=False))
             self._reply = message
@@ -315,7 +331,10 @@ class Nursery:
             self._pids.clear()
             atexit.unregister(self.end)
             self._epoll.close()
-            self._control.socket.close()
+            self._control.close()
+            for line in self._lines.values():
+                os.close(line)
+            self._lines.clear()
             for descriptor in (self._held, self._stderr.descriptor, self._pidfd):
                 if descriptor is not None:
                     os.close(descriptor)

@@ -5,14 +5,19 @@ at best. Why not spawn: a node would pay 75 MB and 1.5 s of CPU time. So this pr
 it (every kernel called once), and then does nothing but fork, reap and report. It is single-threaded, and Ctrl-C in
 the terminal does not reach it, as it has its own session.
 
-Commands and reports are msgpack maps behind a length (u32, little-endian) on the socket FD:
+Commands and reports are maps on the socket FD (`emulator.control`):
 
     command                            reports
                                        {is: warming, done, total, what}      while it warms
                                        {is: warm}                            once
-    {do: launch, configs: [map, ...]}  {is: launched, pids: [...]} or {is: refused, why}
+    {do: launch, configs: [map, ...]}  {is: lines, count}, as often as needed, with as many descriptors;
+                                       then {is: launched, pids: [...]}, or only {is: refused, why}
+    {do: kill, pids: [...]}            {is: ended, ...} of each that is a node and lives
                                        {is: ended, pid, index, status}       status < 0: minus the signal
     {do: end}                          the socket closes when all nodes are reaped
+
+The descriptors are the host's ends of the lines to the nodes (`node.line`), in the order of the configs: each node is
+forked with a socket pair of its own, so that only it and the host can speak on it.
 
 Nobody outlives the front end: when its process or the socket is gone, the nursery ends all nodes and itself. Nobody
 outlives the nursery: only it holds the write end of the `life` pipe, of which each node holds the read end and ends
@@ -30,102 +35,27 @@ import os
 import selectors
 import signal
 import socket
-import struct
 import sys
 import time
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
 from fcntl import F_GETFL, F_SETFL, F_SETOWN, fcntl
-from typing import Any, NoReturn
+from typing import NoReturn
 
-import msgpack
-
-from raygrid.node.errors import ProtocolError, RaygridError
+from raygrid.node.errors import RaygridError
 
 from . import places
+from .control import MOST_DESCRIPTORS, Control, Message, close_all
 from .places import Index
 
-Message = dict[str, Any]
-Run = Callable[[Message, int], None]
+Run = Callable[[Message, int, int], None]
 
-LENGTH = struct.Struct("<I")
-LONGEST_MESSAGE = 1 << 28  # bytes
 LONGEST_LINE = 2000  # bytes; up to 4096 a write to a pipe is not torn
 GRACE = 1.0  # seconds from SIGTERM to SIGKILL
 LAST_WAIT = 5.0  # seconds for the kernel to finish what was killed
 PR_SET_PDEATHSIG = 1
 DEBUG = "RAYGRID_DEBUG"  # set: tracebacks of errors, and of crashes in compiled code
-
-
-class Control:
-    """Messages over a stream socket, without ever blocking; both ends use it.
-
-    closed    nothing more will come
-    unsent    bytes that wait for room
-    """
-
-    def __init__(self, stream: socket.socket) -> None:
-        stream.setblocking(False)
-        self.socket = stream
-        self.closed = False
-        self._out = bytearray()
-        self._in = bytearray()
-
-    @property
-    def unsent(self) -> int:
-        """Bytes that wait for room in the socket."""
-        return len(self._out)
-
-    def send(self, message: Message) -> None:
-        """Send now or, by later calls of flush, when there is room. Raises ProtocolError if it is too long."""
-        body = msgpack.packb(message)
-        if len(body) > LONGEST_MESSAGE:
-            raise ProtocolError(f"a message to or from the nursery has {len(body)} bytes, at most {LONGEST_MESSAGE}")
-        self._out += LENGTH.pack(len(body)) + body
-        self.flush()
-
-    def flush(self) -> None:
-        """Send what waits, as far as there is room."""
-        while self._out:
-            try:
-                sent = self.socket.send(self._out, socket.MSG_NOSIGNAL)
-            except BlockingIOError:
-                return
-            except (BrokenPipeError, ConnectionResetError):
-                self._out.clear()  # receive will find the end, after what had come before it
-                return
-            del self._out[:sent]
-
-    def receive(self) -> list[Message]:
-        """All messages that have come. Raises ProtocolError if they are no messages."""
-        while not self.closed:
-            try:
-                piece = self.socket.recv(1 << 16)
-            except BlockingIOError:
-                break
-            except ConnectionResetError:
-                piece = b""
-            self.closed = not piece
-            self._in += piece
-        return self._whole_messages()
-
-    def _whole_messages(self) -> list[Message]:
-        messages: list[Message] = []
-        while len(self._in) >= LENGTH.size:
-            (length,) = LENGTH.unpack_from(self._in)
-            if length > LONGEST_MESSAGE:
-                raise ProtocolError(f"a message of {length} bytes came, wanted at most {LONGEST_MESSAGE}")
-            end = LENGTH.size + length
-            if len(self._in) < end:
-                break
-            # Lists come out as tuples: coordinates are then the same on both sides, and nobody changes a config.
-            message = msgpack.unpackb(self._in[LENGTH.size : end], use_list=False, strict_map_key=False)
-            del self._in[:end]
-            if not isinstance(message, dict):
-                raise ProtocolError(f"a message came as {type(message).__name__}, wanted a map")
-            messages.append(message)
-        return messages
 
 
 class ForkServer:
@@ -197,6 +127,9 @@ class ForkServer:
     def _obey(self, message: Message) -> None:
         if message.get("do") == "launch" and not self._ending:
             self._launch(message["configs"])
+        elif message.get("do") == "kill":
+            for pid in self.children.keys() & set(message["pids"]):  # not yet reaped, so nobody else has these ids
+                os.kill(pid, signal.SIGKILL)
         elif message.get("do") == "end":
             self._ending = True
         else:
@@ -207,10 +140,15 @@ class ForkServer:
     def _launch(self, configs: tuple[Message, ...]) -> None:
         """Fork a node for each config: all, or none."""
         pids: list[int] = []
+        lines: list[int] = []
         try:
             for config in configs:
-                pids.append(self._fork(config))  # noqa: PERF401  (those before a failure must be known)
+                ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+                lines.append(ours.detach())
+                with theirs:
+                    pids.append(self._fork(config, theirs.fileno()))
         except OSError as error:
+            close_all(lines)
             for pid in pids:
                 os.kill(pid, signal.SIGKILL)
                 os.waitpid(pid, 0)
@@ -218,9 +156,12 @@ class ForkServer:
             self.control.send({"is": "refused", "why": why})
             return
         self.children.update((pid, config["index"]) for pid, config in zip(pids, configs, strict=True))
+        for first in range(0, len(lines), MOST_DESCRIPTORS):
+            some = lines[first : first + MOST_DESCRIPTORS]
+            self.control.send({"is": "lines", "count": len(some)}, some)
         self.control.send({"is": "launched", "pids": pids})
 
-    def _fork(self, config: Message) -> int:
+    def _fork(self, config: Message, line: int) -> int:
         for stream in (sys.stdout, sys.stderr):
             with suppress(Exception):
                 stream.flush()  # or each child would write it again
@@ -230,17 +171,17 @@ class ForkServer:
             nursery = os.getpid()
             pid = os.fork()
             if pid == 0:
-                self._be_node(config, nursery)
+                self._be_node(config, line, nursery)
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, held)
         return pid
 
-    def _be_node(self, config: Message, nursery: int) -> NoReturn:
+    def _be_node(self, config: Message, line: int, nursery: int) -> NoReturn:
         """In the child: run the node program to its end. Never returns into the nursery's frames."""
         code = 1
         try:
-            self._forget_nursery(nursery)
-            self._run(config, self._life)
+            self._forget_nursery(nursery, line)
+            self._run(config, self._life, line)
             code = 0
         except BaseException as error:
             say(f"raygrid node {','.join(map(str, config['index']))}", error)
@@ -250,8 +191,8 @@ class ForkServer:
                     stream.flush()
             os._exit(code)
 
-    def _forget_nursery(self, nursery: int) -> None:
-        """In the child: give up all that is the nursery's, keeping descriptors 0, 1, 2 and `life`."""
+    def _forget_nursery(self, nursery: int, line: int) -> None:
+        """In the child: give up all that is the nursery's, keeping descriptors 0, 1, 2, `life` and `line`."""
         end_with_parent(nursery)
         signal.set_wakeup_fd(-1)
         for number in (signal.SIGCHLD, signal.SIGTERM, signal.SIGHUP):
@@ -262,8 +203,11 @@ class ForkServer:
         for descriptor in (self._life_writer, self._wakeup, self._wakeup_writer, self._front_end):
             if descriptor is not None:
                 os.close(descriptor)
-        os.closerange(3, self._life)
-        os.closerange(max(self._life + 1, 3), os.sysconf("SC_OPEN_MAX"))
+        first = 3
+        for kept in sorted((self._life, line)):
+            os.closerange(first, kept)
+            first = max(kept + 1, 3)
+        os.closerange(first, os.sysconf("SC_OPEN_MAX"))
         signal.pthread_sigmask(signal.SIG_SETMASK, set())
 
     def _reap(self) -> None:

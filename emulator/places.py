@@ -95,6 +95,15 @@ class Place:
         """The name of the link between the host and the corner node at index `corner`."""
         return host_endpoint(self.path, epoch, corner)
 
+    def forget_epochs_before(self, epoch: int) -> None:
+        """Remove the sockets of earlier epochs that killed processes left. Never raises OSError."""
+        with suppress(OSError), os.scandir(self.path) as entries:
+            for entry in entries:
+                number, dash, _ = entry.name.partition("-")
+                if dash and number.isdigit() and int(number) < epoch:
+                    with suppress(OSError):
+                        os.unlink(entry.path)
+
     def remove(self) -> None:
         """Remove the directory; does nothing if it is gone, or in a fork of the process that made it."""
         atexit.unregister(self.remove)

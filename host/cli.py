@@ -106,6 +106,21 @@ class Frames(AnyType):
         return first, last
 
 
+class Fault(AnyType):
+    """A fault for experiments, `drop:0.001:7`."""
+
+    name = "fault"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Raises a usage error for anything that `parse_fault` refuses."""
+        from raygrid.node.faulty import parse_fault
+
+        try:
+            return parse_fault(str(value))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
 class Number(AnyType):
     """A number from `least` to `most`; whole if `least` is."""
 
@@ -176,6 +191,11 @@ def cli() -> None:
 @click.option("--stats", type=click.Path(), metavar="FILE", help="Write what the machine did as JSON.")
 @click.option("--patience", type=Number(0.1, 1e9), default=30.0, show_default=True, metavar="SECONDS",
               help="Time without any progress after which the array is taken to hang.")
+@click.option("--attempts", type=Number(1, 1000), default=4, show_default=True, metavar="N",
+              help="How often to try when processors are lost or links break; the picture is the same.")
+@click.option("--fault", type=Fault(), metavar="KIND[:RATE[:SEED]]",
+              help="For experiments: links between neighbours drop, double, reorder, delay, corrupt or truncate this part "
+                   "of their messages.  [default rate: 0.0001]")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors. (Without a terminal there is hardly any.)")
 @_debug_option
 def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **options: Any) -> None:
@@ -186,7 +206,7 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
     from raygrid.host.command_frames import turntable_of
     from raygrid.host.command_render import Request, default_outputs, run_render
 
-    names = ("batch", "budget", "transfer", "stats", "patience", "quiet", "frames")
+    names = ("batch", "budget", "transfer", "stats", "patience", "attempts", "fault", "quiet", "frames")
     machine = {name: options.pop(name) for name in names}
     turntable = turntable_of(options.pop("turntable"), options.pop("turntable_scene"))
     several = turntable is not None or machine["frames"] is not None

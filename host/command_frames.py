@@ -74,7 +74,7 @@ def run_frames(request: Request) -> None:
     written: list[str] = []
     with Talk(request.quiet) as talk, contextlib.ExitStack() as reels:
         played = [output for output in request.outputs if is_played(output)]
-        with Array(request.shape, batch=request.batch, patience=request.patience, on_warming=talk.warming) as array:
+        with Array(request.shape, request.batch, request.patience, talk.warming, request.fault) as array:
             array.begin()
             talk.phase(f"reading {request.scene}")
             scene, numbers = _read(request, talk)
@@ -148,8 +148,8 @@ def _pictures(
 ) -> Iterator[tuple[Picture, int]]:
     """Each frame's picture and number, one after the other."""
     from raygrid.host.job import Settings, samples_expected
-    from raygrid.host.render import render_job
     from raygrid.host.shot_jobs import jobs_of
+    from raygrid.host.steady import render_steadily
 
     jobs = jobs_of(scene, request.shape, Settings(**request.settings), numbers, array.wait_warm)
     for job in jobs:
@@ -160,7 +160,10 @@ def _pictures(
             array.wait_ready()
         talk.of(f"frame {job.number} of {numbers[-1]}: ")
         talk.expect(samples_expected(job))
-        yield render_job(array.driver, job, request.budget, talk.watch), int(job.number or 0)
+        picture = render_steadily(
+            array, job, request.budget, talk.watch, attempts=request.attempts, on_fault=talk.fault
+        )
+        yield picture, int(job.number or 0)
         talk.of("")
 
 

@@ -20,6 +20,7 @@ from raygrid.host.progress import Talk
 if TYPE_CHECKING:
     from raygrid.host.job import Job
     from raygrid.host.picture import Picture
+    from raygrid.node.faulty import FaultPlan
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,8 @@ class Request:
     transfer: str
     stats: str | None
     patience: float
+    attempts: int
+    fault: FaultPlan | None
     quiet: bool
     settings: dict[str, Any]
     frames: tuple[int, int] | None = None
@@ -78,7 +81,9 @@ def run_render(request: Request) -> None:
 
 def _render(request: Request, talk: Talk, begun: float) -> Picture:
     shape = request.shape
-    with Array(shape, batch=request.batch, patience=request.patience, on_warming=talk.warming) as array:
+    with Array(
+        shape, batch=request.batch, patience=request.patience, on_warming=talk.warming, fault=request.fault
+    ) as array:
         array.begin()
         talk.phase(f"reading {request.scene}")
         job = _read_job(request, talk, array.wait_warm)
@@ -88,10 +93,12 @@ def _render(request: Request, talk: Talk, begun: float) -> Picture:
         ready = time.perf_counter()
 
         from raygrid.host.job import samples_expected
-        from raygrid.host.render import render_job
+        from raygrid.host.steady import render_steadily
 
         talk.expect(samples_expected(job))
-        picture = render_job(array.driver, job, request.budget, talk.watch)
+        picture = render_steadily(
+            array, job, request.budget, talk.watch, attempts=request.attempts, on_fault=talk.fault
+        )
         picture.stats["wall_seconds"] |= {"read": round(read - begun, 6), "launch": round(ready - read, 6)}
         talk.phase("ending the processors")
     return picture

@@ -13,8 +13,9 @@ from raygrid.emulator.limits import parse_shape
 from raygrid.host.job import Settings, make_job
 from raygrid.host.load import load_scene
 from raygrid.host.picture import Picture
-from raygrid.host.render import Watch, render_job
+from raygrid.host.render import Watch
 from raygrid.host.scene import Scene
+from raygrid.host.steady import ATTEMPTS, render_steadily
 
 MOST_BATCH = 8192  # packets; their message stays far below the longest that a link takes
 
@@ -34,22 +35,35 @@ class Machine:
 
     @property
     def pids(self) -> tuple[int, ...]:
-        """Process ids of the nodes, x fastest."""
+        """Process ids of the nodes, x fastest. Nodes that were lost are replaced by new ones."""
         return tuple(self._array.pids)
 
     def render(
-        self, scene: Scene | str | Path, *, budget: int = BUDGET, watch: Watch | None = None, **settings: Any
+        self,
+        scene: Scene | str | Path,
+        *,
+        budget: int = BUDGET,
+        watch: Watch | None = None,
+        attempts: int = ATTEMPTS,
+        **settings: Any,
     ) -> Picture:
         """Render a scene, or the file of one.
 
         settings  size, samples, depth, min_weight, highlights, split; see `raygrid.host.job.Settings`
         budget    packets in flight below which new primary rays are admitted
         watch     called with (phase, progress) as the work goes on
+        attempts  how often to try in all: when a node is lost or a link breaks, the array is reset and the frame
+                  begins anew; what happened is in the picture's stats["faults"]
         Raises SceneError for a scene or settings that cannot be rendered, ArrayError if the array fails.
         """
         if not isinstance(scene, Scene):
             scene = load_scene(scene)
-        return render_job(self._array.driver, make_job(scene, self.shape, Settings(**settings)), budget, watch)
+        job = make_job(scene, self.shape, Settings(**settings))
+        return render_steadily(self._array, job, budget, watch, attempts=attempts)
+
+    def reset(self) -> None:
+        """The reset line: drop whatever the array holds or does; afterwards it is empty and ready (`Array.reset`)."""
+        self._array.reset()
 
     def close(self) -> None:
         """End the array. May be called twice."""

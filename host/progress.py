@@ -15,6 +15,7 @@ import click
 
 if TYPE_CHECKING:
     from raygrid.emulator.driver import Progress
+    from raygrid.host.steady import Fault
 
 PHASES = {"load": "loading surfaces", "trace": "tracing", "collect": "collecting pixels"}
 
@@ -64,6 +65,10 @@ class Talk:
     def remark(self, text: str) -> None:
         """A line on the scene or the picture that stays, terminal or not."""
         self._print(f"note: {text}")
+
+    def fault(self, fault: Fault) -> None:
+        """Told by `render_steadily` of what went wrong and was made good."""
+        self.remark(f"{fault.what}; the array was reset in {fault.seconds[1]:.2f} s, and the frame begins anew")
 
     def say(self, text: str) -> None:
         """A line that stays, on a terminal."""

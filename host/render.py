@@ -15,7 +15,7 @@ from raygrid.emulator.limits import read_resources
 from raygrid.host.job import Job, rays_enter
 from raygrid.host.picture import Picture
 from raygrid.host.stats import make_stats
-from raygrid.node.errors import ArrayError, TooLarge
+from raygrid.node.errors import ArrayError, Garbled, TooLarge
 from raygrid.node.lattice import LONGEST_STEP
 from raygrid.node.pixels import MAX_INTENSITY, UNIT
 
@@ -96,7 +96,7 @@ def _check_missing(job: Job, missing: NDArray[np.int64]) -> None:
         enters &= rays_enter(job, i + di, j + dj, SURELY_INSIDE)
     if enters.any():
         pixel = int(lacking[np.argmax(enters)])
-        raise ArrayError(f"pixel {pixel} came without all its samples, though its rays enter the world box")
+        raise Garbled(f"pixel {pixel} came without all its samples, though its rays enter the world box")
 
 
 def _add_misses(job: Job, sums: NDArray[np.int64], samples: NDArray[np.int64]) -> None:
@@ -104,7 +104,7 @@ def _add_misses(job: Job, sums: NDArray[np.int64], samples: NDArray[np.int64]) -
     frame = job.frame
     missing = frame.samples - samples
     if np.any(missing < 0):
-        raise ArrayError(f"pixel {int(np.argmin(missing))} came with more samples than the {frame.samples} it has")
+        raise Garbled(f"pixel {int(np.argmin(missing))} came with more samples than the {frame.samples} it has")
     _check_missing(job, missing)
     if frame.discs:
         from raygrid.node.misses import add_missed

@@ -8,6 +8,7 @@ RaygridError                     every message is one sentence: where, what came
 └── ArrayError                   the machine itself
     ├── TooLarge                 it does not fit this computer, with the largest that does
     ├── LostProcess              a processor ended or stopped
+    ├── Garbled                  what came is not what was sent: refused, miscounted
     └── Stuck                    no counter moves, and packets are still in flight
 """
 
@@ -44,6 +45,10 @@ class TooLarge(ArrayError):
 
 class LostProcess(ArrayError):
     """A processor ended or stopped answering."""
+
+
+class Garbled(ArrayError):
+    """Nodes refused what came to them, or the counts of what was sent and what came do not agree."""
 
 
 class Stuck(ArrayError):

@@ -29,9 +29,12 @@ from .messages import (
     VERSION,
     WINDOW,
     MessageKind,
+    is_whole,
+    pack_message,
     pack_order,
     read_header,
     read_order,
+    seal,
 )
 from .packets import SIZE
 from .step import HEAD
@@ -119,8 +122,11 @@ class Link:
         """Send the first `held` packets of an output row (HEAD bytes are free at its head), `batch` a message."""
         if held <= batch and not self.queued and not self.urgent and self._may_send_data():
             data = row.data
-            HEADER.pack_into(data, 0, *self._header(MessageKind.PACKETS, held))
-            if self.channel.send(data[: HEAD + held * SIZE]):
+            message = data[: HEAD + held * SIZE]
+            kind, *numbers = self._header(MessageKind.PACKETS, held)
+            HEADER.pack_into(message, 0, kind, 0, *numbers, 0)
+            seal(message)
+            if self.channel.send(message):
                 self._count_sent(HEAD + held * SIZE, data=True)
                 return
         for first in range(0, held, batch):
@@ -175,15 +181,15 @@ class Link:
     def _may_send_data(self) -> bool:
         return self.state == State.UP and self._data_sent - self._credit < WINDOW
 
-    def _header(self, kind: MessageKind, count: int) -> tuple[int, int, int, int, int, int]:
-        return (int(kind), 0, self.epoch, self._sent & 0xFFFFFFFF, self._data_done & 0xFFFFFFFF, count)
+    def _header(self, kind: MessageKind, count: int) -> tuple[int, int, int, int, int]:
+        return (int(kind), self.epoch, self._sent & 0xFFFFFFFF, self._data_done & 0xFFFFFFFF, count)
 
     def _post(self, kind: MessageKind, payload: bytes) -> None:
         if self.urgent or not self._send_now(kind, 0, payload):
             self.urgent.append((kind, payload))
 
     def _send_now(self, kind: MessageKind, count: int, payload: bytes) -> bool:
-        message = HEADER.pack(*self._header(kind, count)) + payload
+        message = pack_message(*self._header(kind, count), payload)
         if not self.channel.send(message):
             return False
         self._count_sent(len(message), kind in IS_DATA)
@@ -209,6 +215,11 @@ class Link:
             if message is None:
                 return None
             header = read_header(message)
+            if not is_whole(message):
+                raise ProtocolError(
+                    f"link {self.name}: a message of {len(message)} bytes came with another checksum than its own: "
+                    "it was changed or cut on its way"
+                )
             if header.epoch != self.epoch:
                 self.stale += 1
                 continue

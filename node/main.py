@@ -1,41 +1,85 @@
-"""The process of one node: open links, then poll, receive, work."""
+"""The process of one node: open links, then poll, receive, work; and begin anew when the reset line says so."""
 
 from __future__ import annotations
 
 import gc
 import time
+from collections.abc import Iterator
 from typing import Any
 
 import zmq
 
-from .link import Link, State
+from .errors import ProtocolError
+from .faulty import FaultPlan, Faulty, tend
+from .line import Line
+from .link import Channel, Link, State
 from .pair import Pair
 from .processor import Processor
+from .reset import read_reset
 from .walk import HOST, OPPOSITE
 
 PORT_NAMES = ("-x", "+x", "-y", "+y", "-z", "+z", "host")
 CHOKED_SECONDS = 0.002  # a socket without room for what a link may send is tried again after this
+LONGEST_WHY = 2000  # characters of what a broken node says
 CLOSING_SECONDS = 2.0  # how long a node waits for the answers to its BYE
 
 
-def run(config: dict[str, Any], life: int) -> None:
+def run(config: dict[str, Any], life: int, line: int) -> None:
     """Be one node until the order `end`, or until the pipe `life` closes because the launcher is gone.
 
     config  index [x, y, z], shape, epoch, machine (name of the array), batch (most packets a message), and
-            links: a list of {port, endpoint, bind}
-    Raises ProtocolError if a link breaks.
+            links: a list of {port, endpoint, bind}; and fault, (kind, rate, seed) of `node.faulty`, if it is wanted
+    line    descriptor of the node's end of the line to the host (`node.line`)
+
+    A reset order on the line ends an epoch, whatever its state: links, packets, surfaces and pixels are dropped, and
+    the node begins the next one on new links, as if it had just been forked. A node whose link broke says so on its
+    line, {is: broken, why}, closes its links and waits for the reset. Anything else that goes wrong ends the process.
     """
     gc.set_threshold(50_000, 50, 50)  # a turn makes no cycles; the default would look for them every few turns
     context: zmq.Context[Any] = zmq.Context(io_threads=1)
+    to_host = Line(line)
     try:
-        pairs = {link["port"]: Pair(context, link["endpoint"], link["bind"]) for link in config["links"]}
-        try:
-            _serve(config, pairs, life)
-        finally:
-            for pair in pairs.values():
-                pair.close()
+        next_epoch: dict[str, Any] | None = config
+        while next_epoch is not None:
+            next_epoch = _live(next_epoch, context, life, to_host)
     finally:
+        to_host.close()
         context.destroy(linger=0)
+
+
+def _live(config: dict[str, Any], context: zmq.Context[Any], life: int, line: Line) -> dict[str, Any] | None:
+    """One epoch. Returns the config of the next one, None if there is none."""
+    pairs: dict[int, Pair] = {}
+    try:
+        for link in config["links"]:
+            pairs[link["port"]] = Pair(context, link["endpoint"], link["bind"])
+        line.send({"is": "reset", "epoch": config["epoch"]})
+        return _serve(config, pairs, _with_faults(config, pairs, line), life, line)
+    except ProtocolError as error:
+        line.send({"is": "broken", "epoch": config["epoch"], "why": str(error)[:LONGEST_WHY]})
+    finally:
+        for pair in pairs.values():
+            pair.close()
+    poller = zmq.Poller()
+    poller.register(life, zmq.POLLIN)
+    poller.register(line.fileno(), zmq.POLLIN)
+    while not line.closed:
+        if any(ready == life for ready, _ in poller.poll()):
+            return None
+        for order in _orders(line, config):
+            return order
+    return None
+
+
+def _orders(line: Line, config: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """The configs of the resets that have come on the line; what is no order is refused and counted."""
+    while (order := line.receive()) is not None:
+        try:
+            if order.get("do") != "reset":
+                raise ProtocolError(f"the words {order.get('do')!r} came on a line, wanted an order")
+            yield read_reset(order, config)
+        except ProtocolError:
+            line.refused += 1
 
 
 def open_links(config: dict[str, Any], channels: dict[int, Any]) -> dict[int, Link]:
@@ -53,27 +97,47 @@ def open_links(config: dict[str, Any], channels: dict[int, Any]) -> dict[int, Li
     return links
 
 
-def _serve(config: dict[str, Any], pairs: dict[int, Pair], life: int) -> None:
+def _with_faults(config: dict[str, Any], pairs: dict[int, Pair], line: Line) -> dict[int, Channel]:
+    """The channels of a node: its pairs, those to neighbours with the faults that an experiment asks for."""
+    channels: dict[int, Channel] = dict(pairs)
+    if config.get("fault") is not None:
+        for port in channels.keys() - {HOST}:
+            key = (*config["index"], port, config["epoch"])
+            channels[port] = Faulty(channels[port], FaultPlan(*config["fault"]), key, line.send)
+    return channels
+
+
+def _serve(
+    config: dict[str, Any], pairs: dict[int, Pair], channels: dict[int, Channel], life: int, line: Line
+) -> dict[str, Any] | None:
     index, shape = tuple(config["index"]), tuple(config["shape"])
-    processor = Processor(index, shape, open_links(config, pairs), config["batch"])
+    processor = Processor(index, shape, open_links(config, channels), config["batch"])
+    faults = [channel for channel in channels.values() if isinstance(channel, Faulty)]
     ports = {pair.socket: port for port, pair in pairs.items()}
     poller = zmq.Poller()
     for socket in ports:
         poller.register(socket, zmq.POLLIN)
     poller.register(life, zmq.POLLIN)
+    poller.register(line.fileno(), zmq.POLLIN)
     while not processor.ended:
-        for ready, _ in poller.poll(_patience(processor)):
-            if ready == life:
-                return
-            processor.receive(ports[ready])
+        patience = _patience(processor)
+        for ready, _ in poller.poll(tend(faults, patience) if faults else patience):
+            if ready in ports:
+                processor.receive(ports[ready])
+                continue
+            for order in _orders(line, config):
+                return order
+            if ready == life or line.closed:
+                return None
         if processor.gathers:
             time.sleep(processor.linger)
             for ready, _ in poller.poll(0):
-                if ready == life:
-                    return
-                processor.receive(ports[ready])
+                if ready in ports:  # the rest is looked at in a moment
+                    processor.receive(ports[ready])
         processor.work()
+    poller.unregister(line.fileno())
     _close(processor, poller, ports, life)
+    return None
 
 
 def _patience(processor: Processor) -> int | None:

@@ -1,12 +1,14 @@
-"""What travels on a link: a 16-byte header, then 25-byte packets, surface descriptions, or an order.
+"""What travels on a link: a 20-byte header, then 25-byte packets, surface descriptions, or an order.
 
-    header   kind u8, zero u8, epoch u16, sequence u32, credit u32, count u32      (little-endian)
+    header   kind u8, zero u8, epoch u16, sequence u32, credit u32, count u32, checksum u32      (little-endian)
 
 epoch     number of resets of the machine so far; another epoch's message is stale
 sequence  of this direction of this link, from 0, without gaps
 credit    how many PACKETS and SURFACES messages the sender of this header has processed so far; the other
           side may have at most WINDOW unprocessed ones under way
 count     packets or surfaces in the message, else 0
+checksum  the low half of the XXH3 of what follows the header, seeded with that of the 16 bytes before the checksum:
+          sequence numbers find what is lost, doubled or out of order, this finds what was changed or cut
 
 The header is link protocol, not packet (law 2). Orders are msgpack maps with string keys; nothing that comes
 in is trusted: lengths, types and finiteness are checked here before anything is used (law 11).
@@ -18,10 +20,11 @@ import struct
 from enum import IntEnum
 from typing import Any, NamedTuple
 
-import msgpack
 import numpy as np
+from xxhash import xxh3_64_intdigest
 
 from .errors import ProtocolError
+from .maps import pack_map, read_map
 from .packets import SIZE
 from .step import HEAD
 from .surfaces import STORED_AS, STRIDE, Batch, Kind
@@ -31,11 +34,11 @@ MAX_MESSAGE = (
     1 << 25
 )  # bytes; ZMQ_MAXMSGSIZE of every socket; a frame of the most materials and lights takes half of it
 WINDOW = 32  # PACKETS and SURFACES messages under way on one direction of a link
-HEADER = struct.Struct("<BBHIII")
+HEADER = struct.Struct("<BBHIIII")
+SUMMED = 16  # bytes of the header before the checksum
+CHECKSUM = struct.Struct("<I")
 SURFACE_HEADER = struct.Struct("<BBHII")  # corner, kind, zero, surfaces, points of polygons
-MOST_ITEMS = 1 << 16  # entries of any list or map in an order
-DEEPEST = 8  # lists and maps in each other in an order
-assert HEADER.size == HEAD
+assert HEADER.size == HEAD == SUMMED + CHECKSUM.size
 
 
 class MessageKind(IntEnum):
@@ -66,11 +69,33 @@ class Header(NamedTuple):
     items: int
 
 
+def pack_message(kind: int, epoch: int, sequence: int, credit: int, count: int, payload: bytes) -> bytes:
+    """A whole message."""
+    head = HEADER.pack(kind, 0, epoch, sequence, credit, count, 0)[:SUMMED]
+    checksum = xxh3_64_intdigest(payload, xxh3_64_intdigest(head)) & 0xFFFFFFFF
+    return head + CHECKSUM.pack(checksum) + payload
+
+
+def seal(message: bytearray | memoryview) -> None:
+    """Write the checksum into a message of HEAD bytes or more."""
+    CHECKSUM.pack_into(message, SUMMED, _checksum(message))
+
+
+def is_whole(message: bytes) -> bool:
+    """Whether a message of HEAD bytes or more has the checksum that it says."""
+    return bool(CHECKSUM.unpack_from(message, SUMMED)[0] == _checksum(message))
+
+
+def _checksum(message: bytes | bytearray | memoryview) -> int:
+    view = memoryview(message)
+    return xxh3_64_intdigest(view[HEAD:], xxh3_64_intdigest(view[:SUMMED])) & 0xFFFFFFFF
+
+
 def read_header(message: bytes) -> Header:
-    """Decode and check a header. Raises ProtocolError."""
+    """Decode and check a header, but for its checksum (`is_whole`). Raises ProtocolError."""
     if not HEAD <= len(message) <= MAX_MESSAGE:
         raise ProtocolError(f"a message came with {len(message)} bytes, wanted {HEAD} to {MAX_MESSAGE}")
-    kind, zero, epoch, sequence, credit, count = HEADER.unpack_from(message)
+    kind, zero, epoch, sequence, credit, count, _ = HEADER.unpack_from(message)
     known = _KINDS.get(kind)
     if known is None or zero != 0:
         raise ProtocolError(f"a message came with header {message[:HEAD].hex()}, wanted a known kind and a zero byte")
@@ -87,8 +112,7 @@ def check_packets(message: bytes, count: int) -> None:
 
 def pack_order(order: dict[str, Any]) -> bytes:
     """An order (or answer) as bytes. Raises ProtocolError if it is too long for a message."""
-    packed: bytes = msgpack.packb(order, use_bin_type=True)
-    return _short_enough(packed, "an order")
+    return _short_enough(pack_map(order), "an order")
 
 
 def _short_enough(payload: bytes, what: str) -> bytes:
@@ -99,32 +123,7 @@ def _short_enough(payload: bytes, what: str) -> bytes:
 
 def read_order(message: bytes) -> dict[str, Any]:
     """The order of a message. Raises ProtocolError unless it is one map, with string keys all the way down."""
-    try:
-        order = msgpack.unpackb(
-            memoryview(message)[HEAD:],
-            raw=False,
-            strict_map_key=True,
-            max_array_len=MOST_ITEMS,
-            max_map_len=MOST_ITEMS,
-            max_ext_len=0,
-        )
-    except (ValueError, msgpack.UnpackException, RecursionError) as error:
-        raise ProtocolError(f"an order of {len(message) - HEAD} bytes cannot be read: {error}") from None
-    if not isinstance(order, dict):
-        raise ProtocolError(f"an order came as {type(order).__name__}, wanted a map")
-    _check_tree(order, DEEPEST)
-    return order
-
-
-def _check_tree(value: dict[str, Any] | list[Any], deeper: int) -> None:
-    """Raise ProtocolError for keys that are no strings, and for lists and maps nested too deep to be handed on."""
-    if deeper == 0:
-        raise ProtocolError(f"an order came with lists and maps deeper than {DEEPEST}")
-    if isinstance(value, dict) and not all(type(key) is str for key in value):
-        raise ProtocolError("an order came with keys that are bytes, wanted string keys")
-    for inner in value.values() if isinstance(value, dict) else value:
-        if isinstance(inner, dict | list):
-            _check_tree(inner, deeper - 1)
+    return read_map(memoryview(message)[HEAD:], "an order")
 
 
 def pack_surfaces(corner: int, batch: Batch) -> bytes:

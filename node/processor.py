@@ -145,8 +145,9 @@ class Processor:
         link.grant()
         if self._halted:
             return
-        if self.tracer.limits is None:
-            self._refuse(f"link {link.name}: packets came before a frame")
+        if self.tracer.limits is None or port == HOST:
+            why = "from the host, which sends none" if port == HOST else "before a frame"
+            self._refuse(f"link {link.name}: packets came {why}")
             return
         try:
             check_packets(arrival.message, arrival.items)
@@ -368,6 +369,7 @@ class Processor:
             "hits": int(counts[HITS]),
             "messages": sum(link.messages_sent for link in self.links.values()),
             "bytes": sum(link.bytes_sent for link in self.links.values()),
+            "stale": sum(link.stale for link in self.links.values()),
             "waiting": tracer.backlog.held + int(tracer.outputs.held.sum()),
             "most_waiting": tracer.backlog.most_held,
             "most_queued_messages": max((link.most_waiting for link in self.links.values()), default=0),

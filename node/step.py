@@ -72,7 +72,7 @@ from .walk import (
     towards_start,
 )
 
-HEAD = 16  # bytes kept free at the head of every output for the link's header
+HEAD = 20  # bytes kept free at the head of every output for the link's header
 
 
 class Outputs(NamedTuple):

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import zmq
+from support_messages import sealed
 
 from raygrid.node.link import Arrival, Channel, Link, State
 from raygrid.node.memory_pair import memory_pair
@@ -140,10 +141,16 @@ class Passing:
 
 
 class Meddler(Passing):
-    """Does something to the nth message of a kind that is sent (1 is the first), once."""
+    """Does something to the nth message of a kind that is sent (1 is the first), once.
 
-    def __init__(self, inner: Channel, kind: int, nth: int, what: Callable[[bytes], list[bytes]]) -> None:
+    sealed  whether it then gets the right checksum, as if the sender had done it and not the channel
+    """
+
+    def __init__(
+        self, inner: Channel, kind: int, nth: int, what: Callable[[bytes], list[bytes]], sealed: bool = True
+    ) -> None:
         super().__init__(inner)
+        self._sealed = sealed
         self._kind, self._left, self._what = kind, nth, what
 
     def outgoing(self, message: bytes) -> list[bytes]:
@@ -151,7 +158,7 @@ class Meddler(Passing):
         if message[0] == self._kind:
             self._left -= 1
             if self._left == 0:
-                return self._what(message)
+                return [sealed(raw) for raw in self._what(message)] if self._sealed else self._what(message)
         return [message]
 
 
@@ -212,9 +219,9 @@ class Watched(Passing):
 
 def renumbered(message: bytes, **fields: int) -> bytes:
     """A message with other numbers in its header: kind, zero, epoch, sequence, credit, count."""
-    names = ("kind", "zero", "epoch", "sequence", "credit", "count")
+    names = ("kind", "zero", "epoch", "sequence", "credit", "count", "checksum")
     old = dict(zip(names, HEADER.unpack_from(message), strict=True))
-    return HEADER.pack(*(old | fields).values()) + message[HEADER.size :]
+    return sealed(HEADER.pack(*(old | fields).values()) + message[HEADER.size :])
 
 
 @pytest.fixture(params=list(WIRES))

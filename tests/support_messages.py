@@ -6,7 +6,8 @@ import numpy as np
 from hypothesis import strategies as st
 from support_surfaces import batch, random_rows
 
-from raygrid.node.messages import HEADER, MessageKind, pack_surfaces
+from raygrid.node.messages import HEADER, MessageKind, pack_surfaces, seal
+from raygrid.node.step import HEAD
 from raygrid.node.surfaces import Batch, Kind
 
 
@@ -14,7 +15,15 @@ def message(
     kind: int, payload: bytes = b"", count: int = 0, sequence: int = 0, credit: int = 0, epoch: int = 0, zero: int = 0
 ) -> bytes:
     """A whole message."""
-    return HEADER.pack(kind, zero, epoch, sequence, credit, count) + payload
+    return sealed(HEADER.pack(kind, zero, epoch, sequence, credit, count, 0) + payload)
+
+
+def sealed(raw: bytes) -> bytes:
+    """The message with the checksum that it should have, if it has a header."""
+    data = bytearray(raw)
+    if len(data) >= HEAD:
+        seal(data)
+    return bytes(data)
 
 
 def surfaces_message(surfaces: Batch, corner: int = 0) -> bytes:

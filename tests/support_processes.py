@@ -77,6 +77,7 @@ class Hello(NamedTuple):
     index: tuple[int, ...]
     pid: int
     life: int
+    line: int
     descriptors: dict[int, str]
     status: dict[str, str]
 
@@ -129,14 +130,14 @@ def gate(no_leftovers: str) -> Iterator[Gate]:
 # --- stand-in node program -----------------------------------------------------------------------
 
 
-def run(config: dict[str, Any], life: int) -> None:
+def run(config: dict[str, Any], life: int, line: int) -> None:
     """Announce this node at the gate, then do what config["then"] says."""
     descriptors = {number: name for number, name in open_descriptors().items() if "/fd" not in name}
     with open("/proc/self/status") as file:
         status = dict(line.rstrip("\n").split(":\t", 1) for line in file if ":\t" in line)
     with socket.socket(socket.AF_UNIX) as door:
         door.connect(config["gate"])
-        hello = (config["index"], os.getpid(), life, descriptors, status)
+        hello = (config["index"], os.getpid(), life, line, descriptors, status)
         door.sendall(f"{hello!r}\n".encode())
         THEN[config["then"]](config, life)
 

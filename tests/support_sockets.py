@@ -18,11 +18,13 @@ LISTENING = 10
 
 
 class UnixSocket(NamedTuple):
-    """A unix socket: its path, "" for none, the inode of the other end, 0 for none, and whether it listens."""
+    """A unix socket: its path, "" for none, the inode of the other end, 0 for none, whether it listens, and whether it
+    may be a line: without a path, of whole messages."""
 
     path: str
     peer: int
     listens: bool
+    line: bool
 
 
 def unix_sockets() -> dict[int, UnixSocket] | None:
@@ -48,11 +50,11 @@ def _answers(kernel: socket.socket) -> dict[int, UnixSocket] | None:
                 return found
             if kind == ERROR:
                 return None
-            _, _, state, _, inode = struct.unpack_from("<BBBBI", data, at + 16)
+            _, sort, state, _, inode = struct.unpack_from("<BBBBI", data, at + 16)
             attributes = _attributes(data[at + 32 : at + length])
             path = os.fsdecode(attributes.get(NAME, b"").rstrip(b"\0"))
             peer = struct.unpack("<I", attributes[PEER])[0] if PEER in attributes else 0
-            found[inode] = UnixSocket(path, peer, state == LISTENING)
+            found[inode] = UnixSocket(path, peer, state == LISTENING, not path and sort == socket.SOCK_SEQPACKET)
             at += length + 3 & ~3
 
 

@@ -107,7 +107,7 @@ def still_right(array: MemoryArray) -> None:
 
 def without_last_packet(raw: bytes) -> list[bytes]:
     """A message of packets that says, rightly, that it holds one less."""
-    (*_, count) = HEADER.unpack_from(raw)
+    (*_, count, _) = HEADER.unpack_from(raw)
     return [renumbered(raw[:-SIZE], count=count - 1)] if count > 1 else [raw]
 
 

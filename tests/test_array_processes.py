@@ -97,6 +97,9 @@ def check_neighbours(array: Array) -> None:
     for index, pid in where(array).items():
         names, others = links_of(array.shape, index)
         held = socket_inodes(pid)
+        (line,) = [inode for inode in held if sockets[inode].line]
+        assert owner[sockets[line].peer] == "host"  # the line, of which no file bears the name
+        held.remove(line)
         assert held <= set(sockets), "a socket that is no unix socket"
         paths = [Path(sockets[inode].path) for inode in held if sockets[inode].path]
         assert all(path.parent == Path(array._place.path) for path in paths)

@@ -21,8 +21,8 @@ from support_processes import (
     wait_readable,
 )
 
+from raygrid.emulator.control import LENGTH, LONGEST_MESSAGE, Control
 from raygrid.emulator.launch import Nursery, Warming
-from raygrid.emulator.nursery import LENGTH, LONGEST_MESSAGE, Control
 from raygrid.node.errors import ArrayError, LostProcess, ProtocolError
 
 pytestmark = pytest.mark.usefixtures("no_leftovers")
@@ -86,7 +86,8 @@ def test_a_node_holds_no_descriptor_but_the_documented_ones(gate: Gate, warm):
         for number in range(3):  # later ones must not inherit what belongs to earlier ones
             nursery.launch([gate.config(number)])
             hello = gate.wait_for(1)[0]
-            assert set(hello.descriptors) == {0, 1, 2, hello.life}
+            assert set(hello.descriptors) == {0, 1, 2, hello.life, hello.line}
+            assert hello.descriptors[hello.line].startswith("socket:")
             assert hello.descriptors[hello.life].startswith("pipe:")
             reading = Path(f"/proc/{hello.pid}/fdinfo/{hello.life}").read_text().split()[3]
             assert int(reading, 8) & os.O_ACCMODE == os.O_RDONLY

@@ -11,11 +11,11 @@ from support_cases import steady
 from support_messages import message, orders, random_batch, same_batch, surfaces_message
 
 from raygrid.node.errors import ProtocolError
+from raygrid.node.maps import DEEPEST, MOST_ITEMS
 from raygrid.node.messages import (
-    DEEPEST,
     HEADER,
     MAX_MESSAGE,
-    MOST_ITEMS,
+    SUMMED,
     MessageKind,
     check_packets,
     pack_order,
@@ -33,15 +33,18 @@ KINDS = list(MessageKind)
 # --- golden bytes --------------------------------------------------------------------------------
 
 HEADERS = {
-    MessageKind.HELLO: ((0, 0, 0, 0), "01 00 0000 00000000 00000000 00000000"),
-    MessageKind.ACK: ((1, 1, 0, 0), "02 00 0100 01000000 00000000 00000000"),
-    MessageKind.PACKETS: ((0x0201, 0x06050403, 0x0A090807, 0x0E0D0C0B), "03 00 0102 03040506 0708090a 0b0c0d0e"),
-    MessageKind.SURFACES: ((65535, 2**32 - 1, 2**32 - 1, 2**32 - 1), "04 00 ffff ffffffff ffffffff ffffffff"),
-    MessageKind.DOWN: ((0, 2, 3, 0), "05 00 0000 02000000 03000000 00000000"),
-    MessageKind.UP: ((0, 2, 3, 0), "06 00 0000 02000000 03000000 00000000"),
-    MessageKind.CREDIT: ((0, 9, 16, 0), "07 00 0000 09000000 10000000 00000000"),
-    MessageKind.BYE: ((7, 256, 0, 0), "08 00 0700 00010000 00000000 00000000"),
-    MessageKind.BYE_ACK: ((7, 257, 0, 0), "09 00 0700 01010000 00000000 00000000"),
+    MessageKind.HELLO: ((0, 0, 0, 0), "01 00 0000 00000000 00000000 00000000 ac7f3e30"),
+    MessageKind.ACK: ((1, 1, 0, 0), "02 00 0100 01000000 00000000 00000000 b58d9b96"),
+    MessageKind.PACKETS: (
+        (0x0201, 0x06050403, 0x0A090807, 0x0E0D0C0B),
+        "03 00 0102 03040506 0708090a 0b0c0d0e 30c95f5e",
+    ),
+    MessageKind.SURFACES: ((65535, 2**32 - 1, 2**32 - 1, 2**32 - 1), "04 00 ffff ffffffff ffffffff ffffffff 4da10277"),
+    MessageKind.DOWN: ((0, 2, 3, 0), "05 00 0000 02000000 03000000 00000000 51226752"),
+    MessageKind.UP: ((0, 2, 3, 0), "06 00 0000 02000000 03000000 00000000 ac0661a1"),
+    MessageKind.CREDIT: ((0, 9, 16, 0), "07 00 0000 09000000 10000000 00000000 c059b615"),
+    MessageKind.BYE: ((7, 256, 0, 0), "08 00 0700 00010000 00000000 00000000 cc973c2d"),
+    MessageKind.BYE_ACK: ((7, 257, 0, 0), "09 00 0700 01010000 00000000 00000000 51adfc5a"),
 }
 
 
@@ -224,7 +227,8 @@ def read_all(raw: bytes) -> None:
         header = read_header(raw)
     except ProtocolError:
         return
-    assert HEADER.pack(int(header.kind), 0, header.epoch, header.sequence, header.credit, header.items) == raw[:HEAD]
+    numbers = (int(header.kind), 0, header.epoch, header.sequence, header.credit, header.items)
+    assert HEADER.pack(*numbers, 0)[:SUMMED] == raw[:SUMMED]
     _read_order(raw)
     _read_surfaces(raw, header.items)
     try:

@@ -88,17 +88,31 @@ def test_a_killed_front_end_leaves_no_process_and_no_socket_directory(tmp_path, 
         assert list(tmp_path.iterdir()) == []
 
 
-def test_a_killed_processor_is_an_error_of_one_line(tmp_path):
-    with Terminal([RAYGRID, *LONG], tmp_path) as terminal:
-        terminal.wait_for(r"tracing .*packets/s")
-        front_end = terminal.process.pid
-        nursery = int(_children(front_end)[0])
-        node = int(_children(nursery)[3])
-        os.kill(node, signal.SIGKILL)
+def test_a_killed_processor_is_an_error_of_one_line_if_there_is_no_other_attempt(tmp_path):
+    with Terminal([RAYGRID, *LONG, "--attempts", "1"], tmp_path) as terminal:
+        node = _kill_a_node(terminal)
         assert terminal.wait_end() == 1
         assert f"(pid {node}) ended: signal SIGKILL" in " ".join(terminal.screen.split("\n"))
         assert terminal.screen.startswith("raygrid: node 1,1,0")
         assert list(tmp_path.iterdir()) == []
+
+
+def test_a_killed_processor_is_told_and_the_frame_begins_anew(tmp_path):
+    with Terminal([RAYGRID, *LONG], tmp_path) as terminal:
+        node = _kill_a_node(terminal)
+        terminal.wait_for(rf"note: node 1,1,0 \(pid {node}\) ended: signal SIGKILL; the array was reset in ")
+        terminal.wait_for(r"tracing .*packets/s")
+        terminal.press("\x03")
+        assert terminal.wait_end() == 130
+        assert list(tmp_path.iterdir()) == []
+
+
+def _kill_a_node(terminal):
+    terminal.wait_for(r"tracing .*packets/s")
+    nursery = int(_children(terminal.process.pid)[0])
+    node = int(_children(nursery)[3])
+    os.kill(node, signal.SIGKILL)
+    return node
 
 
 def _children(pid):

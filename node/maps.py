@@ -1,0 +1,51 @@
+"""Maps that travel as msgpack: orders on links, words on lines. What comes in is not trusted (law 11)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgpack
+
+from .errors import ProtocolError
+
+MOST_ITEMS = 1 << 16  # entries of any list or map
+DEEPEST = 8  # lists and maps in each other
+
+
+def pack_map(value: dict[str, Any]) -> bytes:
+    """A map as bytes."""
+    packed: bytes = msgpack.packb(value, use_bin_type=True)
+    return packed
+
+
+def read_map(data: bytes | memoryview, what: str) -> dict[str, Any]:
+    """The map that these bytes are. Raises ProtocolError unless it is one, with string keys all the way down.
+
+    what  how to call it in an error: "an order"
+    """
+    try:
+        value = msgpack.unpackb(
+            data,
+            raw=False,
+            strict_map_key=True,
+            max_array_len=MOST_ITEMS,
+            max_map_len=MOST_ITEMS,
+            max_ext_len=0,
+        )
+    except (ValueError, msgpack.UnpackException, RecursionError) as error:
+        raise ProtocolError(f"{what} of {len(data)} bytes cannot be read: {error}") from None
+    if not isinstance(value, dict):
+        raise ProtocolError(f"{what} came as {type(value).__name__}, wanted a map")
+    _check_tree(value, DEEPEST, what)
+    return value
+
+
+def _check_tree(value: dict[str, Any] | list[Any], deeper: int, what: str) -> None:
+    """Raise ProtocolError for keys that are no strings, and for lists and maps nested too deep to be handed on."""
+    if deeper == 0:
+        raise ProtocolError(f"{what} came with lists and maps deeper than {DEEPEST}")
+    if isinstance(value, dict) and not all(type(key) is str for key in value):
+        raise ProtocolError(f"{what} came with keys that are bytes, wanted string keys")
+    for inner in value.values() if isinstance(value, dict) else value:
+        if isinstance(inner, dict | list):
+            _check_tree(inner, deeper - 1, what)
