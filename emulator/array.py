@@ -54,6 +54,7 @@ class Array:
     epoch     number of resets so far; -1 before the array was ready
     restarts  nodes that were forked anew so far
     fault     what goes wrong on purpose on links between neighbours, for experiments; patience is FAULT_PATIENCE then
+    programs  whether nodes take programs (`node.programs`): code of others, with your rights
     injected  messages that were hit by it so far
     on_words  called as on_words(index, words) with what a node says on its line, but for its acknowledgements
     """
@@ -65,11 +66,13 @@ class Array:
         patience: float | None = None,
         on_warming: Callable[[int, int, str], None] | None = None,
         fault: FaultPlan | None = None,
+        programs: bool = False,
     ) -> None:
         check_fits(shape)
         if fault is not None:
             patience = min(FAULT_PATIENCE, FAULT_PATIENCE if patience is None else patience)
         self.shape, self.batch, self.patience, self.fault = shape, batch, patience, fault
+        self.programs = programs
         self.injected = 0
         self.epoch, self.restarts = -1, 0
         self.on_words: Callable[[Index, Words], None] | None = None
@@ -193,7 +196,7 @@ class Array:
             pair = Pair(self._context, host_endpoint(self._place.path, self.epoch, index), bind=True)
             self._pairs[corner] = pair
             self._poller.register(pair.socket, zmq.POLLIN)
-        told = {"batch": self.batch, "fault": self.fault}
+        told = {"batch": self.batch, "fault": self.fault, "programs": self.programs}
         forked = self._crew.begin(node_configs(self.shape, self._place.path, self.epoch, machine, **told))
         self.restarts += 0 if first else forked
         for descriptor in self._crew.filenos():

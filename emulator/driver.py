@@ -36,6 +36,7 @@ from raygrid.node.processor import (
     WAITING,
     read_sums,
 )
+from raygrid.node.programs import Program, program_order
 from raygrid.node.step import HEAD
 from raygrid.node.surfaces import Batch, SurfaceSet
 from raygrid.node.tables import BORN, DIED, Frame
@@ -50,6 +51,7 @@ HOLD = 0.02  # seconds for which a busy node may hold a wave, and a millisecond 
 LINGER, LONGEST_LINGER = 0.0012, 0.015
 GATHER = 0.5  # part of the mean share of packets that it waits for
 EAGER_FLUSH, CROWDED_FLUSH = 256, 4096  # packets for which a node with work sends an output
+PROGRAM_SECONDS = 600.0  # one process compiles a program, which takes half a minute on an idle computer
 LEAST_SHARE = 256  # packets a node below which nobody waits
 
 
@@ -98,6 +100,7 @@ class Driver:
         self.held: Held | None = (
             None  # the frame of a shot that the nodes hold; None: it is not known, or does not move
         )
+        self.program: Program | None = None  # what the nodes run
         self.waves = 0
         self.most_in_flight = 0
 
@@ -192,6 +195,25 @@ class Driver:
     def ready(self) -> None:
         """Wait until every link of every node is up."""
         self.wave({"do": "ready"})
+
+    def load_program(self, program: Program | None) -> None:
+        """Let all nodes compile and try a program, and use it if all are content; None: the step without one.
+
+        Surfaces must be loaded anew afterwards. Raises ArrayError with what the nodes say if one is not; then all use
+        what they used before.
+        """
+        self.held = None
+        self._settle()
+        self._quiet = False
+        patience, self.patience = self.patience, max(self.patience, PROGRAM_SECONDS)
+        try:
+            self.wave(program_order(program))
+            self.wave({"do": "use"})
+        except Garbled as error:
+            raise ArrayError(f"a program was refused: {error}") from None
+        finally:
+            self.patience = patience
+        self.program = program
 
     def load(self, space: Space, surfaces: SurfaceSet, moves: Moves | None = None) -> None:
         """Deal surfaces (machine coordinates) over the corners, and wait until every node has built its tables.

@@ -23,7 +23,9 @@ Order = Callable[[int], np.ndarray]
 class MemoryArray:
     """Processors of an array, run in turn. `order(n)` may give another order of the n nodes for each round."""
 
-    def __init__(self, shape: tuple[int, int, int], batch: int = 1024, order: Order = np.arange) -> None:
+    def __init__(
+        self, shape: tuple[int, int, int], batch: int = 1024, order: Order = np.arange, programs: bool = False
+    ) -> None:
         channels: dict[tuple[int, int, int], dict[int, Any]] = {index: {} for index in indices(shape)}
         for link in neighbour_links(shape):
             channels[link.lower][link.lower_port], channels[link.upper][link.upper_port] = memory_pair()
@@ -35,7 +37,7 @@ class MemoryArray:
         for index in indices(shape):
             config = {"index": list(index), "machine": "memory", "epoch": 0}
             links = open_links(config, channels[index])
-            self.processors.append(Processor(index, shape, links, batch, clock=lambda: 0.0))
+            self.processors.append(Processor(index, shape, links, batch, lambda: 0.0, programs))
         links_of_host: dict[int, Link] = host_links(shape, host_ends, "memory", 0)
         self.driver = Driver(shape, links_of_host, self._pump)
 

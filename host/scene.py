@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from raygrid.host.cameras import Camera
 from raygrid.node.frame import DIRECTIONAL
-from raygrid.node.surfaces import Kind, SurfaceSet
+from raygrid.node.surfaces import SURFACE_KINDS, SurfaceSet
 
 if TYPE_CHECKING:
     from raygrid.host.shot import Shot
@@ -58,7 +58,7 @@ class Scene:
 
 def describe(scene: Scene) -> dict[str, Any]:
     """The facts of a scene as plain lists, numbers and strings, ready for JSON."""
-    counts = {kind.name.lower(): scene.surfaces.count(kind) for kind in Kind}
+    counts = {kind.name.lower(): scene.surfaces.count(kind) for kind in SURFACE_KINDS}
     return {
         "name": scene.name,
         "surfaces": {kind: count for kind, count in counts.items() if count},

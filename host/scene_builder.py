@@ -20,7 +20,7 @@ from raygrid.host.scene_polygons import (
 )
 from raygrid.node.errors import SceneError
 from raygrid.node.frame import MATERIAL
-from raygrid.node.surfaces import F64, MAX_MATERIALS, MAX_SURFACES, STRIDE, Batch, Kind, SurfaceSet, merge
+from raygrid.node.surfaces import F64, MAX_MATERIALS, MAX_SURFACES, STRIDE, AnyKind, Batch, Kind, SurfaceSet, merge
 
 Table = NDArray[np.void]
 
@@ -77,7 +77,7 @@ class SceneBuilder:
         """`where` begins every message: the file's path."""
         self.where = where
         self.remarks: list[str] = []
-        self._batches: list[tuple[Kind, F64, Ints, Ints, Ints]] = []  # kind, data, materials, order, starts
+        self._batches: list[tuple[AnyKind, F64, Ints, Ints, Ints]] = []  # kind, data, materials, order, starts
         self._materials: list[Table] = []
         self._baked: list[bool] = []
         self._apart: list[bool] = []
@@ -106,7 +106,7 @@ class SceneBuilder:
         """Say that surfaces of order numbers first <= n < end move: their polygons must be flatter than others."""
         self._moving.append((first, end))
 
-    def add(self, kind: Kind, data: F64, materials: ArrayLike, order: Ints | None = None) -> None:
+    def add(self, kind: AnyKind, data: F64, materials: ArrayLike, order: Ints | None = None) -> None:
         """Take surfaces of any kind but polygons: data (n, STRIDE[kind]), materials (n,) or one number for all."""
         if kind in (Kind.TRIANGLE, Kind.SMOOTH):
             keep = ~flat_triangles(self._checked(data)[:, :9].reshape(-1, 3, 3))
@@ -199,7 +199,7 @@ class SceneBuilder:
             remarks.append(f"{plural(self._crossing, 'polygon')} cut into triangles by guess, crossing its own edges")
         return remarks
 
-    def _take(self, kind: Kind, data: F64, materials: ArrayLike, order: Ints | None, n: int, starts: Ints) -> None:
+    def _take(self, kind: AnyKind, data: F64, materials: ArrayLike, order: Ints | None, n: int, starts: Ints) -> None:
         if order is None:
             order = np.arange(self._next, self._next + n)
         if n:
@@ -236,7 +236,7 @@ class SceneBuilder:
         return table, share
 
 
-def _half_extent(batches: list[tuple[Kind, F64, Ints, Ints, Ints]]) -> float:
+def _half_extent(batches: list[tuple[AnyKind, F64, Ints, Ints, Ints]]) -> float:
     """Half of the longest edge of the box of all surfaces."""
     boxes = []
     for kind, data, _, order, starts in batches:

@@ -33,8 +33,9 @@ from .intersect import (
 )
 from .lattice import SLACK, Cell
 from .refit import refitted
-from .surfaces import STORED_AS, STRIDE, Batch, Kind, SurfaceSet
+from .surfaces import STORED_AS, STRIDE, AddedKind, AnyKind, Batch, Kind, SurfaceSet
 from .tables import KIND_SHIFT, Surfaces
+from .turning import turns
 
 F64 = NDArray[np.float64]
 MOST_BINS = 1024  # strips of a polygon's height
@@ -194,7 +195,7 @@ def _assembled(batches: list[Batch], order: NDArray[np.intp], floats: NDArray[np
     rows = np.concatenate([np.arange(len(batch)) for batch in batches])[order]
     kinds = _kinds(batches)[order]
     items = kinds.astype(np.uint32) << np.uint32(KIND_SHIFT)
-    held: dict[Kind, Batch] = {}
+    held: dict[AnyKind, Batch] = {}
     for batch in batches:
         mine = kinds == batch.kind
         held[batch.kind] = batch.select(rows[mine])  # in leaf order
@@ -217,10 +218,10 @@ def empty_surfaces() -> Surfaces:
     return Surfaces(floats, floats.view(np.uint32), numbers, numbers, np.zeros(0, np.uint16), *_tables({}))
 
 
-def _tables(held: dict[Kind, Batch]) -> tuple[Any, ...]:
+def _tables(held: dict[AnyKind, Batch]) -> tuple[Any, ...]:
     """The fields of `Surfaces` from `triangles` on."""
 
-    def data(kind: Kind) -> NDArray[np.floating]:
+    def data(kind: AnyKind) -> NDArray[np.floating]:
         if kind not in held:
             return np.zeros((0, STRIDE[kind]), STORED_AS[kind])
         return np.ascontiguousarray(held[kind].data, STORED_AS[kind])
@@ -233,4 +234,11 @@ def _tables(held: dict[Kind, Batch]) -> tuple[Any, ...]:
         data(Kind.SPHERE),
         cones,
         *polygon_tables(data(Kind.POLYGON).astype(np.float64), starts),
+        programmed_table(data(AddedKind.PROGRAMMED).astype(np.float64)),
     )
+
+
+def programmed_table(data: F64) -> F64:
+    """Columns of programmed surfaces, float64 (n, OWN_COLUMNS), from their numbers."""
+    matrices = turns(data[:, :4]).reshape(-1, 9)
+    return np.ascontiguousarray(np.concatenate((matrices, data[:, 4:]), axis=1))

@@ -111,7 +111,9 @@ def _serve(
     config: dict[str, Any], pairs: dict[int, Pair], channels: dict[int, Channel], life: int, line: Line
 ) -> dict[str, Any] | None:
     index, shape = tuple(config["index"]), tuple(config["shape"])
-    processor = Processor(index, shape, open_links(config, channels), config["batch"])
+    processor = Processor(
+        index, shape, open_links(config, channels), config["batch"], programs=bool(config.get("programs"))
+    )
     faults = [channel for channel in channels.values() if isinstance(channel, Faulty)]
     ports = {pair.socket: port for port, pair in pairs.items()}
     poller = zmq.Poller()

@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import ProtocolError
-from .surfaces import STORED_AS, Batch, Kind
+from .surfaces import STORED_AS, AddedKind, AnyKind, Batch, Kind
+from .turning import products, turns
 
 F64 = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -98,27 +99,21 @@ def fault_of(motions: F64) -> str:
     return ""
 
 
-def _turns(motions: F64) -> F64:
-    """The rotation matrices of motions, float64 (g, 3, 3)."""
-    w, x, y, z = (motions[:, TURN + k] for k in range(4))
-    rows = (
-        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)),
-        (2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)),
-        (2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)),
-    )
-    return np.stack([np.stack(row, axis=1) for row in rows], axis=1)
-
-
-def _turned(turns: F64, vectors: F64) -> F64:
+def _turned(matrices: F64, vectors: F64) -> F64:
     """Vectors (n, 3) multiplied by their matrices (n, 3, 3)."""
     x, y, z = vectors[:, 0], vectors[:, 1], vectors[:, 2]
-    return np.stack([turns[:, k, 0] * x + turns[:, k, 1] * y + turns[:, k, 2] * z for k in range(3)], axis=1)
+    return np.stack([matrices[:, k, 0] * x + matrices[:, k, 1] * y + matrices[:, k, 2] * z for k in range(3)], axis=1)
 
 
-def moved_rows(kind: Kind, data: F64, motions: F64) -> F64:
+def moved_rows(kind: AnyKind, data: F64, motions: F64) -> F64:
     """Rows of a batch's data, float64, after a motion each (n, MOTION); of polygons, rows of points."""
-    turns, scale, shift = _turns(motions), motions[:, SCALE : SCALE + 1], motions[:, SHIFT:]
+    matrices, scale, shift = turns(motions[:, :4]), motions[:, SCALE : SCALE + 1], motions[:, SHIFT:]
     result = data.copy()
+    if kind == AddedKind.PROGRAMMED:
+        result[:, :4] = products(motions[:, :4], data[:, :4])
+        result[:, SCALE] = data[:, SCALE] * motions[:, SCALE]
+        result[:, SHIFT:MOTION] = _turned(matrices, data[:, SHIFT:MOTION]) * scale + shift
+        return result
     points: tuple[int, ...] = (0,)
     normals: tuple[int, ...] = ()
     if kind in (Kind.TRIANGLE, Kind.SMOOTH):
@@ -126,9 +121,9 @@ def moved_rows(kind: Kind, data: F64, motions: F64) -> F64:
     elif kind in (Kind.CYLINDER, Kind.CONE):
         points = (0, 4)
     for at in points:
-        result[:, at : at + 3] = _turned(turns, data[:, at : at + 3]) * scale + shift
+        result[:, at : at + 3] = _turned(matrices, data[:, at : at + 3]) * scale + shift
     for at in normals:
-        result[:, at : at + 3] = _turned(turns, data[:, at : at + 3])
+        result[:, at : at + 3] = _turned(matrices, data[:, at : at + 3])
     if kind in (Kind.SPHERE, Kind.CYLINDER, Kind.CONE):
         result[:, 3::4] = data[:, 3::4] * scale
     return result
@@ -157,6 +152,8 @@ def anchors(batch: Batch) -> F64:
     """
     if batch.kind == Kind.POLYGON:
         return batch.data[batch.starts[:-1]].astype(np.float64)
+    if batch.kind == AddedKind.PROGRAMMED:
+        return batch.data[:, SHIFT:MOTION].astype(np.float64)  # the cell of its box's middle retains it by its box
     points = batch.data[:, :3].astype(np.float64)
     if batch.kind == Kind.SPHERE:
         points[:, 0] += np.abs(batch.data[:, 3])

@@ -5,6 +5,8 @@ comes back, summing. Every node obeys the order and answers once its children ha
 
     do        what a node does                                  answers when
     ready     nothing                                           its links are up
+    program   compile and try a program                         it is done
+    use       let it take the place of the one before           at once
     space     new world box and planes, forget all surfaces     at once
     groups    which surfaces move, and where they are           at once
     loaded    nothing                                           at once; sums tell whether descriptions are under way
@@ -39,9 +41,10 @@ from .messages import MessageKind, check_packets, pack_surfaces, read_order, rea
 from .orders import read_frame, read_space
 from .overlap import meets
 from .packets import FAULTS, PacketKind
-from .surfaces import Batch, Kind
+from .surfaces import SURFACE_KINDS, AnyKind, Batch
 from .tables import BORN, BOXES, COUNTS, DIED, HITS, SENT, TESTS, WALKS
 from .tracer import Tracer
+from .trial import ready_program
 from .usage import peak_memory, private_memory
 from .walk import HOST, PORTS
 
@@ -58,6 +61,7 @@ class Processor:
 
     links   port -> link; HOST too at a corner
     clock   seconds, for the time that a wave is held
+    programs  whether it takes programs
     """
 
     def __init__(
@@ -67,6 +71,7 @@ class Processor:
         links: dict[int, Link],
         batch: int,
         clock: Callable[[], float] = time.monotonic,
+        programs: bool = False,
     ) -> None:
         self.index, self.shape, self.links, self.batch, self.clock = index, shape, links, batch, clock
         self.tracer = Tracer(index, shape)
@@ -74,6 +79,7 @@ class Processor:
         parent = tree_parent(index)
         self._parent = HOST if parent is None else parent
         self._children = tree_children(index, shape)
+        self._programs = programs
         self._surfaces: deque[tuple[Link, Arrival]] = deque()
         self._branches: dict[int, list[Branch]] = {}
         self._wave: dict[str, Any] | None = None
@@ -111,11 +117,24 @@ class Processor:
         if self.tracer.increments.pending:
             self._hand_on()
         if self.tracer.has_work:
-            self.tracer.work()
+            self._trace()
         self._flush()
         if self._wave is not None:
             self._maybe_answer()
         return self.busy
+
+    def _trace(self) -> None:
+        """Work on packets. What a program raises is refused, with the packets that it was working on."""
+        if self.tracer.program is None:
+            self.tracer.work()
+            return
+        try:
+            self.tracer.work()
+        except Exception as error:
+            name = self.tracer.program.program.name
+            self._refuse(f"node {self.index}: the program {name} raises: {type(error).__name__}: {error}")
+            self.tracer.forget_frame()
+            self._halted = True
 
     @property
     def busy(self) -> bool:
@@ -194,6 +213,7 @@ class Processor:
                 continue
             try:
                 corner, batch = read_surfaces(arrival.message, arrival.items)
+                self.tracer.check_known(batch)
             except ProtocolError as error:
                 self._refuse(f"link {link.name}: {error}")
                 continue
@@ -261,6 +281,10 @@ class Processor:
             raise ProtocolError(f"the order {do!r} came before a space")
         elif do in ("trace", "collect") and self.tracer.frame is None:
             raise ProtocolError(f"the order {do!r} came before a frame")
+        elif do == "program":
+            self.tracer.ready = ready_program(order, self._programs)
+        elif do == "use":
+            self.tracer.use_ready()
         elif do == "groups":
             self.tracer.increments.set_groups(order)
         elif do == "move":
@@ -358,12 +382,13 @@ class Processor:
         kinds = list(PacketKind)
         return {
             "index": list(self.index),
+            "program": None if tracer.program is None else tracer.program.program.digest,
             "pid": os.getpid(),
-            "surfaces": {kind.name.lower(): _held(tracer, kind) for kind in Kind},
+            "surfaces": {kind.name.lower(): _held(tracer, kind) for kind in SURFACE_KINDS},
             "born": {kind.name.lower(): int(counts[BORN + kind]) for kind in kinds},
             "died": {kind.name.lower(): int(counts[DIED + kind]) for kind in kinds},
             "sent": [int(counts[SENT + port]) for port in range(PORTS)],
-            "tests": {kind.name.lower(): int(counts[TESTS + kind]) for kind in Kind},
+            "tests": {kind.name.lower(): int(counts[TESTS + kind]) for kind in SURFACE_KINDS},
             "walks": int(counts[WALKS]),
             "boxes": int(counts[BOXES]),
             "hits": int(counts[HITS]),
@@ -381,7 +406,7 @@ class Processor:
         }
 
 
-def _held(tracer: Tracer, kind: Kind) -> int:
+def _held(tracer: Tracer, kind: AnyKind) -> int:
     return sum(len(batch) for batch in tracer.retained if batch.kind == kind)
 
 

@@ -16,9 +16,10 @@ from .lattice import Cell, Space, make_cell
 from .overlap import meets
 from .packets import PIXEL, SIZE, Limits
 from .pixels import Pixels, make_pixels, send_pixels
+from .programs import Compiled
 from .refit import WORSE, expected_cost
 from .step import HEAD, make_outputs, step
-from .surfaces import Batch, SurfaceSet, merge
+from .surfaces import AddedKind, Batch, SurfaceSet, merge
 from .tables import BORN, COUNTS, DIED, SENT, Frame, frame_limits
 from .walk import HOST, OUTPUTS, SELF, SELF_RAYS
 
@@ -47,6 +48,9 @@ class Tracer:
         self.limits: Limits | None = None
         self.retained: list[Batch] = []
         self.increments = Increments()
+        self.program: Compiled | None = None
+        self.ready: Compiled | None = None  # a program that is to be used next
+        self._step = step
         self._stale = False  # whether what is retained has changed since the tables were made
         self._built_cost = 0.0  # expected cost of the hierarchy when it was built, 0: not worked out
         self.surfaces = empty_surfaces()
@@ -108,6 +112,20 @@ class Tracer:
         self._stale = False
         return held
 
+    def use_ready(self) -> None:
+        """Let the program that is ready take the place of the one before; none: the step without a program."""
+        self.program = self.ready
+        self._step = step if self.program is None else self.program.step
+
+    def check_known(self, batch: Batch) -> None:
+        """Raise ProtocolError for programmed surfaces where no program says what they are."""
+        if batch.kind == AddedKind.PROGRAMMED and (
+            self.program is None or "surface_hits" not in self.program.program.hooks
+        ):
+            raise ProtocolError(
+                f"{len(batch)} programmed surfaces came, wanted a program with surface_hits before them"
+            )
+
     def forget_frame(self) -> None:
         """Drop the frame with all its packets; the surfaces stay."""
         self.frame = self.limits = self.pixels = None
@@ -151,7 +169,7 @@ class Tracer:
         stack = self.backlog.most_urgent(WORTHWHILE)
         if stack is not None:
             first = max(0, stack.held - CHUNK)
-            done = step(
+            done = self._step(
                 self.cell,
                 self.space,
                 self.frame,

@@ -12,7 +12,7 @@ from raygrid.host.gltf_motion import _quaternion
 from raygrid.host.load import load_scene
 from raygrid.host.shot import moved_point, quaternion
 from raygrid.node.errors import SceneError
-from raygrid.node.motions import _turns
+from raygrid.node.turning import turns
 
 
 class Maker:
@@ -142,6 +142,6 @@ def test_wrong_animations_are_told(file, tmp_path, times, values, said):
 def test_rotation_matrices_become_quaternions():
     rng = np.random.default_rng(1)
     for degrees in [*rng.uniform(-180, 180, (200, 3)), [180, 0, 0], [0, 180, 0], [0, 0, 180], [120, 180, 0]]:
-        turn = _turns(np.array([[*quaternion(degrees), 1, 0, 0, 0]]))[0]
-        again = _turns(np.array([[*_quaternion(turn), 1, 0, 0, 0]]))[0]
+        turn = turns(quaternion(degrees)[None])[0]
+        again = turns(_quaternion(turn)[None])[0]
         assert np.allclose(turn, again, atol=1e-12)
