@@ -210,6 +210,7 @@ class Driver:
             self.wave(program_order(program))
             self.wave({"do": "use"})
         except Garbled as error:
+            self._settle()  # so that nodes forget what they refused
             raise ArrayError(f"a program was refused: {error}") from None
         finally:
             self.patience = patience

@@ -45,6 +45,11 @@ Examples:
 .npy holds the exact sums as int64, height x width x 3: linear radiance x 2^24, added over the samples of a pixel.
 docs/stats.md says what the statistics mean.
 """
+LOAD_EXAMPLES = """\b
+Examples:
+  raygrid load scenes/programs/torus.py --allow-programs
+  raygrid render scenes/rings.toml --program scenes/programs/torus.py --allow-programs -o rings.png
+"""
 INFO_EXAMPLES = """\b
 Examples:
   raygrid info scenes/room.glb
@@ -188,6 +193,9 @@ def cli() -> None:
 @click.option("--turntable", type=Number(1, 1_000_000), metavar="N", help="The camera goes once round the scene in N frames.")
 @click.option("--turntable-scene", type=Number(1, 1_000_000), metavar="N",
               help="The scene turns once in N frames, under lights that stay.")
+@click.option("--program", type=click.Path(), metavar="FILE",
+              help="Code for the nodes: a surface, a shading rule or a background (docs/programs.md).")
+@click.option("--allow-programs", is_flag=True, help="Launch an array that takes programs. They run with your rights.")
 @click.option("--stats", type=click.Path(), metavar="FILE", help="Write what the machine did as JSON.")
 @click.option("--patience", type=Number(0.1, 1e9), default=30.0, show_default=True, metavar="SECONDS",
               help="Time without any progress after which the array is taken to hang.")
@@ -206,12 +214,31 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
     from raygrid.host.command_frames import turntable_of
     from raygrid.host.command_render import Request, default_outputs, run_render
 
-    names = ("batch", "budget", "transfer", "stats", "patience", "attempts", "fault", "quiet", "frames")
+    names = ["batch", "budget", "transfer", "stats", "patience", "attempts", "fault", "quiet"]
+    names += ["frames", "program", "allow_programs"]
     machine = {name: options.pop(name) for name in names}
     turntable = turntable_of(options.pop("turntable"), options.pop("turntable_scene"))
     several = turntable is not None or machine["frames"] is not None
     outputs = outputs or default_outputs(scene, several)
     run_render(Request(scene, shape, outputs, **machine, settings=options, turntable=turntable))
+
+
+@cli.command(epilog=LOAD_EXAMPLES)
+@click.argument("program", type=click.Path())
+@click.option("--array", "shape", type=Shape(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
+              help="Processors on each axis.")
+@click.option("--allow-programs", is_flag=True, help="Launch an array that takes programs. They run with your rights.")
+@click.option("-q", "--quiet", is_flag=True, help="No talk but errors.")
+@_debug_option
+def load(program: str, shape: tuple[int, int, int], allow_programs: bool, quiet: bool) -> None:
+    """Try a program on an array of processes.
+
+    PROGRAM is a file as docs/programs.md describes it. Every node checks, compiles and tries it; what is compiled stays on
+    disk, so that `raygrid render --program` begins at once.
+    """
+    from raygrid.host.command_load import run_load
+
+    run_load(program, shape, allow_programs, quiet)
 
 
 @cli.command(epilog=INFO_EXAMPLES)

@@ -68,13 +68,15 @@ def wants_frames(request: Request) -> bool:
 
 def run_frames(request: Request) -> None:
     """Launch, read, and for each frame load or increment, trace, collect, write. Raises RaygridError."""
+    from raygrid.host.command_render import launching
+
     begun = time.perf_counter()
     check_name(request.scene)
     _check_names(request)
     written: list[str] = []
     with Talk(request.quiet) as talk, contextlib.ExitStack() as reels:
         played = [output for output in request.outputs if is_played(output)]
-        with Array(request.shape, request.batch, request.patience, talk.warming, request.fault) as array:
+        with launching(request, talk) as array:
             array.begin()
             talk.phase(f"reading {request.scene}")
             scene, numbers = _read(request, talk)
@@ -147,11 +149,13 @@ def _pictures(
     request: Request, scene: Scene, numbers: list[int], array: Array, talk: Talk
 ) -> Iterator[tuple[Picture, int]]:
     """Each frame's picture and number, one after the other."""
+    from raygrid.host.command_render import program_of
     from raygrid.host.job import Settings, samples_expected
     from raygrid.host.shot_jobs import jobs_of
     from raygrid.host.steady import render_steadily
 
-    jobs = jobs_of(scene, request.shape, Settings(**request.settings), numbers, array.wait_warm)
+    settings = Settings(**request.settings, program=program_of(request))
+    jobs = jobs_of(scene, request.shape, settings, numbers, array.wait_warm)
     for job in jobs:
         if job.number == numbers[0]:
             for output in request.outputs:

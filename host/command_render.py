@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from raygrid.emulator.array import Array
 from raygrid.host.command_frames import Turntable, run_frames, wants_frames
+from raygrid.host.command_load import check_allowed
 from raygrid.host.load import check_name
 from raygrid.host.outputs import check_different, check_path, check_picture_path, check_side, write_result
 from raygrid.host.progress import Talk
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from raygrid.host.job import Job
     from raygrid.host.picture import Picture
     from raygrid.node.faulty import FaultPlan
+    from raygrid.node.programs import Program
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,8 @@ class Request:
     settings  of `raygrid.host.job.Settings`
     frames    first and last frame of a shot, or None
     turntable make the scene a shot of one turn, or None
+    program   path of a program that the nodes are to run, or None
+    allow_programs  whether the array takes programs
     """
 
     scene: str
@@ -50,10 +54,13 @@ class Request:
     settings: dict[str, Any]
     frames: tuple[int, int] | None = None
     turntable: Turntable | None = None
+    program: str | None = None
+    allow_programs: bool = False
 
 
 def run_render(request: Request) -> None:
     """Launch, read, load, trace, collect, write. Raises RaygridError."""
+    check_allowed(request.program, request.allow_programs)
     if wants_frames(request):
         run_frames(request)
         return
@@ -81,9 +88,7 @@ def run_render(request: Request) -> None:
 
 def _render(request: Request, talk: Talk, begun: float) -> Picture:
     shape = request.shape
-    with Array(
-        shape, batch=request.batch, patience=request.patience, on_warming=talk.warming, fault=request.fault
-    ) as array:
+    with launching(request, talk) as array:
         array.begin()
         talk.phase(f"reading {request.scene}")
         job = _read_job(request, talk, array.wait_warm)
@@ -104,6 +109,20 @@ def _render(request: Request, talk: Talk, begun: float) -> Picture:
     return picture
 
 
+def launching(request: Request, talk: Talk) -> Array:
+    """The array that is asked for, not yet begun."""
+    return Array(
+        request.shape, request.batch, request.patience, talk.warming, request.fault, programs=request.allow_programs
+    )
+
+
+def program_of(request: Request) -> Program | None:
+    """The program that is asked for. Raises SceneError."""
+    from raygrid.host.program_file import read_program
+
+    return None if request.program is None else read_program(request.program)
+
+
 def _read_job(request: Request, talk: Talk, wait_warm: Callable[[], None]) -> Job:
     from raygrid.host.job import Settings, make_job
     from raygrid.host.load import load_scene
@@ -113,7 +132,7 @@ def _read_job(request: Request, talk: Talk, wait_warm: Callable[[], None]) -> Jo
         talk.remark(remark)
     if scene.shot is not None and scene.shot.frames > 1:
         talk.remark(f"frame 1 of {scene.shot.frames}; --frames 1-{scene.shot.frames} renders all")
-    job = make_job(scene, request.shape, Settings(**request.settings), wait_warm)
+    job = make_job(scene, request.shape, Settings(**request.settings, program=program_of(request)), wait_warm)
     for output in request.outputs:
         check_side(output, job.frame.width, job.frame.height)
     return job

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -13,8 +14,10 @@ from raygrid.emulator.limits import parse_shape
 from raygrid.host.job import Settings, make_job
 from raygrid.host.load import load_scene
 from raygrid.host.picture import Picture
+from raygrid.host.program_file import read_program
 from raygrid.host.render import Watch
 from raygrid.host.scene import Scene
+from raygrid.host.shot_jobs import jobs_of
 from raygrid.host.steady import ATTEMPTS, render_steadily
 
 MOST_BATCH = 8192  # packets; their message stays far below the longest that a link takes
@@ -49,7 +52,8 @@ class Machine:
     ) -> Picture:
         """Render a scene, or the file of one.
 
-        settings  size, samples, depth, min_weight, highlights, split; see `raygrid.host.job.Settings`
+        settings  size, samples, depth, min_weight, highlights, split; see `raygrid.host.job.Settings`; and program, the
+                  path of a program for the nodes (docs/programs.md), on a machine launched with allow_programs
         budget    packets in flight below which new primary rays are admitted
         watch     called with (phase, progress) as the work goes on
         attempts  how often to try in all: when a node is lost or a link breaks, the array is reset and the frame
@@ -58,8 +62,29 @@ class Machine:
         """
         if not isinstance(scene, Scene):
             scene = load_scene(scene)
-        job = make_job(scene, self.shape, Settings(**settings))
+        job = make_job(scene, self.shape, _settings(settings))
         return render_steadily(self._array, job, budget, watch, attempts=attempts)
+
+    def render_frames(
+        self,
+        scene: Scene | str | Path,
+        frames: Iterable[int] | None = None,
+        *,
+        budget: int = BUDGET,
+        watch: Watch | None = None,
+        attempts: int = ATTEMPTS,
+        **settings: Any,
+    ) -> Iterator[Picture]:
+        """Render frames of a shot one after the other, from one to the next by increments; each has the bits that it
+        has alone.
+
+        frames  their numbers, from 1; None: all of the shot
+        The rest, and what is raised, as for `render`. `raygrid.host.turntable` makes a shot of a still scene.
+        """
+        if not isinstance(scene, Scene):
+            scene = load_scene(scene)
+        for job in jobs_of(scene, self.shape, _settings(settings), frames):
+            yield render_steadily(self._array, job, budget, watch, attempts=attempts)
 
     def reset(self) -> None:
         """The reset line: drop whatever the array holds or does; afterwards it is empty and ready (`Array.reset`)."""
@@ -78,12 +103,24 @@ class Machine:
         self._array.__exit__(kind, error, trace)
 
 
-def launch(shape: str | tuple[int, int, int] = "2x2x2", *, batch: int = BATCH, patience: float = PATIENCE) -> Machine:
+def _settings(given: dict[str, Any]) -> Settings:
+    program = given.get("program")
+    return Settings(**given | ({"program": read_program(program)} if isinstance(program, str | Path) else {}))
+
+
+def launch(
+    shape: str | tuple[int, int, int] = "2x2x2",
+    *,
+    batch: int = BATCH,
+    patience: float = PATIENCE,
+    allow_programs: bool = False,
+) -> Machine:
     """Launch an array of node processes on this computer, and wait until it is ready.
 
     shape     processors on each axis, "2x2x2" or (2, 2, 2)
     batch     most packets a message
     patience  seconds without any progress after which the array is taken to hang
+    allow_programs  whether nodes take programs: code that runs with your rights
     Raises ValueError for what none of these can be, TooLarge for an array that does not fit this computer.
     """
     if not 1 <= batch <= MOST_BATCH:
@@ -91,4 +128,4 @@ def launch(shape: str | tuple[int, int, int] = "2x2x2", *, batch: int = BATCH, p
     if not 0.0 < patience < math.inf:
         raise ValueError(f"a patience came as {patience}, wanted seconds above 0")
     cells = parse_shape(shape if isinstance(shape, str) else "x".join(map(str, shape)))
-    return Machine(Array.launch(cells, batch=batch, patience=patience))
+    return Machine(Array.launch(cells, batch=batch, patience=patience, programs=allow_programs))

@@ -19,6 +19,7 @@ from raygrid.node.lattice import HALF, Space, World, world_around
 from raygrid.node.motions import Moves
 from raygrid.node.orders import MAX_SIDE
 from raygrid.node.packets import MAX_DEPTH, MAX_LIGHTS, MAX_SAMPLES
+from raygrid.node.programs import Program
 from raygrid.node.surfaces import SurfaceSet
 from raygrid.node.tables import Frame, light_table, material_table
 
@@ -37,6 +38,7 @@ class Settings:
     min_weight  rays whose largest weight is below this are not born (0)
     highlights  whether materials' highlights are used
     split       "balanced" or "uniform"
+    program     that nodes are to run (`raygrid.host.program_file`), None for none
     """
 
     size: tuple[int, int] | None = None
@@ -45,6 +47,7 @@ class Settings:
     min_weight: float | None = None
     highlights: bool | None = None
     split: str = "balanced"
+    program: Program | None = None
 
 
 @dataclass(frozen=True)
@@ -114,7 +117,7 @@ def make_frame(scene: Scene, world: World, settings: Settings) -> Frame:
     background = tuple(float(np.float32(value)) for value in scene.background)
     return Frame(
         _machine_camera(scene.camera.table(width, height), world),
-        material_table(materials),
+        _with_rules(material_table(materials), scene.rules),
         light_table(lights),
         len(lights),
         (background[0], background[1], background[2]),
@@ -125,6 +128,10 @@ def make_frame(scene: Scene, world: World, settings: Settings) -> Frame:
         float(least),
         bool(np.any(lights["cos_disc"] <= 1.0)) if len(lights) else False,
     )
+
+
+def _with_rules(materials: NDArray[np.float64], rules: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    return materials if rules is None else np.ascontiguousarray(np.concatenate((materials, rules), axis=1))
 
 
 def _first(*choices: Any) -> Any:

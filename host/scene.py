@@ -38,6 +38,7 @@ class Scene:
     min_weight  least weight of a ray that the file asks for, or None
     highlights  whether the materials' highlights are to be used
     remarks     one line each on what was dropped or invented
+    rules       numbers of materials for a program, float64 (m, tables.RULE_COLUMNS), None if none has any
     shot        what changes from frame to frame, None if nothing does; surfaces are at rest then
     """
 
@@ -53,6 +54,7 @@ class Scene:
     min_weight: float | None = None
     highlights: bool = False
     remarks: tuple[str, ...] = ()
+    rules: NDArray[np.float64] | None = None
     shot: Shot | None = None
 
 

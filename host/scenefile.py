@@ -28,10 +28,11 @@ from raygrid.host.scene_lights import Table, directional_light, light_table, poi
 from raygrid.host.scene_mtl import GREY
 from raygrid.host.scene_toml_errors import Key, checked, located, shown_key
 from raygrid.host.scene_transform import moved, placement
-from raygrid.host.shot import Shot
+from raygrid.host.shot import Shot, quaternion
 from raygrid.node.errors import SceneError
 from raygrid.node.motions import Groups, make_groups
-from raygrid.node.surfaces import F64, Kind
+from raygrid.node.surfaces import F64, NUMBERS, AddedKind, Kind
+from raygrid.node.tables import RULE_COLUMNS
 
 SOFT_EDGE = 0.8  # a spot's full light reaches this part of the way to its rim unless the file says otherwise
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
@@ -84,7 +85,18 @@ class _Reader:
             depth=image.depth,
             min_weight=image.min_weight,
         )
-        return replace(scene, shot=self._shot(scene, first_lights))
+        return replace(scene, rules=self._rules(len(scene.materials)), shot=self._shot(scene, first_lights))
+
+    def _rules(self, materials: int) -> F64 | None:
+        """The numbers that materials have for a program; None if none has any."""
+        if not any(m.rule is not None for m in self.file.materials.values()):
+            return None
+        rules = np.zeros((materials, RULE_COLUMNS))
+        for name, m in self.file.materials.items():
+            row = int(self.builder.share[self.materials[name]])
+            if m.rule is not None and row >= 0:
+                rules[row, 0], rules[row, 1 : 1 + len(m.rule)] = 1.0, m.rule
+        return rules
 
     def _shot(self, scene: Scene, first_lights: Table) -> Shot | None:
         """What changes; None if nothing does."""
@@ -170,7 +182,7 @@ class _Reader:
         return base
 
     def _add_material(self, m: schema.Material) -> int:
-        return self.builder.add_materials(_material(m), apart=bool(m.keys))
+        return self.builder.add_materials(_material(m), apart=bool(m.keys) or m.rule is not None)
 
     def _material(self, name: str | None, key: Key) -> int:
         if name is not None:
@@ -190,6 +202,10 @@ class _Reader:
             self.builder.add_polygons(polygons.reshape(-1, 3), starts, number)
         elif isinstance(surface, schema.Sphere):
             self.builder.add(Kind.SPHERE, np.array([[*surface.centre, surface.radius]]), number)
+        elif isinstance(surface, schema.ProgramSurface):
+            numbers = [*surface.numbers, *[0.0] * (NUMBERS - len(surface.numbers))]
+            row = [*quaternion(surface.rotate), surface.scale, *surface.centre, *surface.half, *numbers]
+            self.builder.add(AddedKind.PROGRAMMED, np.array([row]), number)
         elif isinstance(surface, schema.Triangle):
             corners = np.array([*surface.points, *(surface.normals or ())])
             self.builder.add(Kind.SMOOTH if surface.normals else Kind.TRIANGLE, corners.reshape(1, -1), number)

@@ -185,6 +185,7 @@ class Material(Table):
     specular: Weight = (0.0, 0.0, 0.0)
     transmission: Weight = (0.0, 0.0, 0.0)
     ior: Above0 = 1.5
+    rule: Annotated[list[Number], Field(max_length=8)] | None = None
     keys: Annotated[list[MaterialKey], AfterValidator(_ascending)] = Field(default_factory=list)
 
 
@@ -326,6 +327,19 @@ class Box(Table):
         return self
 
 
+class ProgramSurface(Table):
+    """[[surfaces]] of kind program: what the program makes of its numbers, in a box"""
+
+    kind: Literal["program"]
+    material: Text | None = None
+    group: Text | None = None
+    centre: Point = Field(validation_alias=AliasChoices("centre", "center"))
+    half: tuple[Above0, Above0, Above0]
+    scale: Above0 = 1.0
+    rotate: Point = (0.0, 0.0, 0.0)
+    numbers: Annotated[list[Number], Field(max_length=8)] = Field(default_factory=list)
+
+
 class Mesh(Table):
     """[[meshes]]: the surfaces of another file"""
 
@@ -338,7 +352,7 @@ class Mesh(Table):
 
 
 Light = Annotated[PointLight | SpotLight | DirectionalLight, Field(discriminator="kind")]
-Surface = Annotated[Sphere | Cylinder | Cone | Triangle | Polygon | Box, Field(discriminator="kind")]
+Surface = Annotated[Sphere | Cylinder | Cone | Triangle | Polygon | Box | ProgramSurface, Field(discriminator="kind")]
 
 
 class SceneFile(Table):
@@ -373,6 +387,7 @@ TABLES: dict[str, type[Table]] = {
     "triangle": Triangle,
     "polygon": Polygon,
     "box": Box,
+    "program": ProgramSurface,
 }
 """The model of each table, by its name or its kind: for telling which keys it has."""
 

@@ -7,7 +7,10 @@ import math
 
 
 def surface_hits(origin, direction, numbers):
-    """The roots of |p|^4 + ... = 0 along the ray, by Sturm-like bracketing between the turning points of the quartic."""
+    """The roots of a quartic along the ray: looked for in steps inside the ball round the torus, then halved.
+
+    A ray that enters and leaves the tube within one step, a grazing one, does not meet it.
+    """
     ring, tube = numbers[0], numbers[1]
     ox, oy, oz = origin
     dx, dy, dz = direction
@@ -27,7 +30,6 @@ def surface_hits(origin, direction, numbers):
     low, high = -od - half * 1.000001, -od + half * 1.000001
     found = 0
     first, second, third, fourth = math.inf, math.inf, math.inf, math.inf
-    # between two neighbouring turning points, or the ends, there is one root or none: look in steps, then halve
     steps = 64
     before = low
     value = (((before + a) * before + b) * before + c) * before + e
