@@ -7,7 +7,7 @@ STAMP  := $(VENV)/.installed
 PIP    := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet
 
 .DEFAULT_GOAL := help
-.PHONY: help render test test-long style types check bench clean
+.PHONY: help render test test-long style types check bench faults fuzz clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -47,6 +47,12 @@ check: style types test ## style, types and tests
 
 bench: $(STAMP) ## measure speed and write docs/performance.md
 	$(BIN)/python benchmarks/bench.py --write docs/performance.md
+
+faults: $(STAMP) ## break arrays in every way known, and write docs/faults.md; some ten minutes
+	$(BIN)/python benchmarks/faults.py --write docs/faults.md
+
+fuzz: $(STAMP) ## send a million malformed packets and messages into a running array; some minutes
+	$(BIN)/python benchmarks/fuzz.py
 
 clean: ## remove what the other targets made
 	rm -rf $(VENV) build out *.egg-info .pytest_cache .mypy_cache .ruff_cache

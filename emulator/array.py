@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from .crew import Crew, NodeState
     from .driver import Driver
     from .lines import Words
+    from .samples import Sample
 
 BATCH = 4096  # most packets a message
 TRIES = 3  # epochs that are begun before an array counts as one that cannot be
@@ -41,6 +42,7 @@ READY_SECONDS, READY_SECONDS_A_NODE = 10.0, 0.05  # for the links to come up; lo
 END_SECONDS = 5.0
 FAULT_PATIENCE = 3.0  # seconds: with faults on purpose a message that never comes is the likely reason of silence
 LOOK_SECONDS = 0.25  # how often the states of silent processes are looked at
+LISTEN_SECONDS = 0.05  # how often lines are listened to while probes are on
 STOPPED_SECONDS = 0.75  # a node that is stopped (SIGSTOP) for longer than this is lost
 FAULTS = (LostProcess, Stuck, ProtocolError)
 
@@ -53,10 +55,13 @@ class Array:
     patience  seconds without any progress after which the array is taken to hang (`driver.PATIENCE`)
     epoch     number of resets so far; -1 before the array was ready
     restarts  nodes that were forked anew so far
+    refused_samples  what came as a sample of a probe and was none
     fault     what goes wrong on purpose on links between neighbours, for experiments; patience is FAULT_PATIENCE then
     programs  whether nodes take programs (`node.programs`): code of others, with your rights
     injected  messages that were hit by it so far
+    profile   whether nodes say where their time goes (`node.profile`)
     on_words  called as on_words(index, words) with what a node says on its line, but for its acknowledgements
+    on_wait   called whenever the host waits for the array, four times a second or more; what it raises is passed on
     """
 
     def __init__(
@@ -67,16 +72,21 @@ class Array:
         on_warming: Callable[[int, int, str], None] | None = None,
         fault: FaultPlan | None = None,
         programs: bool = False,
+        profile: bool = False,
     ) -> None:
         check_fits(shape)
         if fault is not None:
             patience = min(FAULT_PATIENCE, FAULT_PATIENCE if patience is None else patience)
         self.shape, self.batch, self.patience, self.fault = shape, batch, patience, fault
         self.programs = programs
-        self.injected = 0
+        self.injected, self.profile = 0, profile
         self.epoch, self.restarts = -1, 0
         self.on_words: Callable[[Index, Words], None] | None = None
+        self.refused_samples = 0
+        self._rate = 0.0
+        self._on_sample: Callable[[Sample], object] | None = None
         self._on_warming = on_warming
+        self.on_wait: Callable[[], None] | None = None
         self._nursery: Nursery | None = None
         self._crew: Crew | None = None
         self._place: Place | None = None
@@ -84,9 +94,9 @@ class Array:
         self._pairs: dict[int, Pair] = {}
         self._poller = zmq.Poller()
         self._driver: Driver | None = None
-        self._closing = False
+        self._begun = self._closing = False
         self._lost: RaygridError | None = None
-        self._looked = 0.0
+        self._looked = self._heard = 0.0
         self._stopped_since: dict[Index, float] = {}
 
     @classmethod
@@ -119,6 +129,7 @@ class Array:
 
     def begin(self) -> None:
         """Start the nursery, which warms up while the caller does other things."""
+        self._begun = True
         self._place = Place.create(self.shape)
         self._nursery = Nursery.start(on_warming=self._on_warming, directory=self._place.path)
 
@@ -148,7 +159,7 @@ class Array:
         a second are forked anew. If the nodes cannot be brought to work together, or the nursery is gone, the whole
         array is launched anew. Raises ArrayError and its kinds, or ProtocolError, if that fails as well.
         """
-        if self._closing or self._place is None:
+        if self._closing or not self._begun:
             raise ArrayError("the array cannot be reset: it was not launched, or it was closed")
         try:
             if self._crew is not None and self._nursery is not None and self._nursery.alive:
@@ -173,6 +184,8 @@ class Array:
             except FAULTS:
                 if left == 0 or self._nursery is None or not self._nursery.alive:
                     raise
+            except (OSError, zmq.ZMQError) as error:
+                raise ArrayError(f"the links of the array cannot be opened: {error.strerror}") from error
 
     def _begin_epoch(self) -> None:
         """Drop the links, bring all nodes to the next epoch, and wait until all links are up."""
@@ -196,7 +209,7 @@ class Array:
             pair = Pair(self._context, host_endpoint(self._place.path, self.epoch, index), bind=True)
             self._pairs[corner] = pair
             self._poller.register(pair.socket, zmq.POLLIN)
-        told = {"batch": self.batch, "fault": self.fault, "programs": self.programs}
+        told = {"batch": self.batch, "fault": self.fault, "profile": self.profile, "programs": self.programs}
         forked = self._crew.begin(node_configs(self.shape, self._place.path, self.epoch, machine, **told))
         self.restarts += 0 if first else forked
         for descriptor in self._crew.filenos():
@@ -208,6 +221,8 @@ class Array:
         self._driver.ready()
         self._driver.patience = patience
         self._place.forget_epochs_before(self.epoch)
+        if self._rate:  # nodes that were forked anew have not heard of it
+            self._tell_rate()
 
     def _hang_up(self) -> None:
         """Close the host's ends of the links."""
@@ -218,6 +233,29 @@ class Array:
         self._pairs = {}
 
     # --- while it lives ------------------------------------------------------------------------------
+
+    def probe(self, rate: float, watch: Callable[[Sample], object] | None) -> None:
+        """Let every node tell `rate` times a second how it stands, from now on, after resets too; 0: no more.
+
+        `watch` is called with each sample while somebody waits for the array: by the driver's calls, and by `check`.
+        Samples only read: pictures, counts and machine time are the same with any rate. Raises ProtocolError for a
+        rate that cannot be.
+        """
+        from raygrid.node.probe import read_rate
+
+        self._rate, self._on_sample = read_rate({"rate": rate}), watch
+        self._tell_rate()
+
+    def _tell_rate(self) -> None:
+        if self._crew is None or self._driver is None:  # told when the array is ready
+            return
+        for index in self._crew.pids:
+            self._crew.lines.send(index, {"do": "probe", "rate": self._rate})
+        if self._rate:  # waking for each sample costs more than reading it: `_pump` listens now and then instead
+            with contextlib.suppress(KeyError):
+                self._poller.unregister(self._crew.lines.fileno())
+        else:
+            self._poller.register(self._crew.lines.fileno(), zmq.POLLIN)
 
     def check(self) -> None:
         """Look after an array that nobody waits for: take in what has come, and look at the processes.
@@ -231,9 +269,13 @@ class Array:
         """Wait for messages of corners and events of processes, and take them in."""
         if self._lost is not None:
             raise self._lost
+        if self.on_wait is not None and not self._closing:
+            self.on_wait()
         corner_of = {pair.socket: corner for corner, pair in self._pairs.items()}
-        found = self._poller.poll(int(seconds * 1000))
+        found = self._poller.poll(int(min(seconds, LISTEN_SECONDS if self._rate else seconds) * 1000))
         try:
+            if self._rate and time.monotonic() - self._heard >= LISTEN_SECONDS:
+                self._hear()
             for ready, _ in found:
                 if ready in corner_of:
                     self.driver.receive(corner_of[ready])
@@ -251,6 +293,7 @@ class Array:
     def _hear(self) -> None:
         """Take in the ends of processes and what nodes say on their lines."""
         assert self._crew is not None
+        self._heard = time.monotonic()
         for event in self._crew.hear():
             if isinstance(event, Ended):
                 if not (self._closing and event.code == 0):
@@ -259,10 +302,24 @@ class Array:
                 if event.words.get("epoch") == self.epoch:
                     pid = self._crew.pids[event.index]
                     raise ProtocolError(f"node {_name(event.index)} (pid {pid}): {event.words.get('why')}")
+            elif event.words.get("is") == "sample":
+                self._take_sample(event.index, event.words)
             elif event.words.get("is") == "injected":
                 self.injected += 1
             elif event.words.get("is") != "reset" and self.on_words is not None:
                 self.on_words(event.index, event.words)
+
+    def _take_sample(self, index: Index, words: Words) -> None:
+        from .samples import read_sample
+
+        if self._on_sample is None:
+            return
+        try:
+            sample = read_sample(index, words)
+        except ProtocolError:
+            self.refused_samples += 1
+            return
+        self._on_sample(sample)
 
     def _look(self) -> None:
         """Look for stopped nodes, now and then: they send nothing and do not end."""

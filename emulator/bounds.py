@@ -45,7 +45,8 @@ from raygrid.node.packets import SIZE
 from raygrid.node.step import HEAD
 from raygrid.node.surfaces import STORED_AS, STRIDE, SURFACE_KINDS, AddedKind, AnyKind, Kind
 from raygrid.node.tables import OWN_COLUMNS, SPECULAR, TRANSMISSION, Frame
-from raygrid.node.tracer import ADMIT_AT_ONCE, ROOM
+from raygrid.node.tracer import ROOM
+from raygrid.node.turn import ADMIT_AT_ONCE, PORTION
 from raygrid.node.walk import OUTPUTS
 
 WORD = 8  # bytes of a float64 or int64
@@ -130,7 +131,8 @@ def memory_bound(frame: Frame, budget: int, homes: int, batch: int, surfaces: in
     """
     grown, trees = growth_of(frame), trees_bound(frame, budget, homes)
     pixel_packets = pixel_packets_bound(frame, homes)
-    more = max(batch, ADMIT_AT_ONCE)  # room is made before it is known what comes
+    # room is made before it is known what comes
+    more = max(batch, ADMIT_AT_ONCE, PORTION * max(frame.n_lights, 2))
     stacks = (max(trees * grown.packets, pixel_packets), trees * grown.shadows, trees * grown.rays)
     room = max(ROOM, 2 * (frame.n_lights + 2))
     return {

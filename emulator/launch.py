@@ -28,7 +28,7 @@ from typing import Any, NamedTuple, Self
 
 from raygrid.node.errors import ArrayError, LostProcess
 
-from .control import Control, Message
+from .control import Control, Message, close_all
 from .nursery import DEBUG, LAST_WAIT, open_pidfd
 from .places import Index
 
@@ -208,6 +208,8 @@ class Nursery:
             raise ArrayError(f"the array could not be launched: {reply['why']}")
         pids, lines = list(reply["pids"]), self._control.descriptors
         if len(lines) != len(pids):
+            close_all(lines)
+            self.kill(pids)
             raise ArrayError(f"{len(lines)} lines to {len(pids)} nodes came: this process has no descriptors left")
         self._lines.update(zip(pids, lines, strict=True))
         lines.clear()

@@ -223,7 +223,7 @@ def _record(space, cell, frame, surfaces, stack, packets, rays, counts):
             returns = returns and (red > 0.0 or green > 0.0 or blue > 0.0)
         x, y = image_point(read_u32(packets, at + 1), frame.width, frame.samples)
         from_eye, along = eye_ray(frame.camera, x, y)
-        _, point = entry(space.step, from_eye, along)
+        _, point, _ = entry(space.step, from_eye, along)
         for axis in range(3):
             rays.origins[k, axis] = origin[axis]
             rays.homes[k, axis] = point[axis]

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import atexit
 import os
+import re
 import secrets
 import shutil
 import stat
@@ -26,6 +27,8 @@ from raygrid.node.errors import ArrayError
 Index = tuple[int, int, int]
 
 PREFIX = "raygrid-"
+NAME_BYTES = 6  # of chance
+NAME = re.compile(f"{re.escape(PREFIX)}[0-9a-f]{{{2 * NAME_BYTES}}}")  # not a user's own raygrid-pictures
 PID_FILE = "pid"
 LONGEST_PATH = 107  # bytes; sun_path holds 108 with its closing zero
 LAST_EPOCH = 0xFFFF  # the epoch of a message header is a u16
@@ -125,7 +128,7 @@ def bases() -> list[str]:
 
 def remove(directory: str) -> None:
     """Remove a socket directory. Refuses quietly what is not a raygrid directory of ours, and never raises OSError."""
-    if os.path.basename(directory).startswith(PREFIX) and _is_our_directory(directory):
+    if NAME.fullmatch(os.path.basename(directory)) and _is_our_directory(directory):
         shutil.rmtree(directory, ignore_errors=True)
 
 
@@ -134,22 +137,25 @@ def sweep(base: str) -> list[str]:
     swept = []
     with suppress(OSError), os.scandir(base) as entries:
         for entry in entries:
-            if entry.name.startswith(PREFIX) and _is_our_directory(entry.path) and _is_stale(entry.path):
+            if NAME.fullmatch(entry.name) and _is_our_directory(entry.path) and _is_stale(entry.path):
                 remove(entry.path)
                 swept.append(entry.path)
     return swept
 
 
 def process_mark(pid: int) -> str | None:
-    """What tells process `pid` from all others: id, start time, namespace; None if there is no such process."""
+    """What tells process `pid` from all others: id, start time, namespace.
+
+    None if there is no such process, or one that has ended and whose parent has not asked how.
+    """
     try:
         with open(f"/proc/{pid}/stat", "rb") as file:
             # The second field is the program's name in brackets, and may itself hold blanks and brackets.
             fields = file.read().rpartition(b")")[2].split()
-        started = fields[19].decode()
+        state, started = fields[0], fields[19].decode()
     except (OSError, IndexError):
         return None
-    return f"{pid} {started} {_namespace()}"
+    return None if state in (b"Z", b"X") else f"{pid} {started} {_namespace()}"
 
 
 def process_state(pid: int) -> str:
@@ -231,7 +237,7 @@ def _unsafe(base: str, status: os.stat_result) -> str | None:
 
 
 def _fresh_name() -> str:
-    return PREFIX + secrets.token_hex(6)
+    return PREFIX + secrets.token_hex(NAME_BYTES)
 
 
 def _make(base: str) -> str:

@@ -12,6 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from numba.core import event
 
+from raygrid.node import profile
 from raygrid.node.lattice import World, make_space
 from raygrid.node.misses import add_missed
 from raygrid.node.motions import SHIFT, Moves, at_rest, make_groups
@@ -74,6 +75,7 @@ def warm(report: Report) -> None:
                 _one_of_each(),
                 frame._replace(samples=1 << 18),
             )
+            profile.warm(array.processors[0].tracer)
     report(KERNELS, KERNELS, "ready")
 
 

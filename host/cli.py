@@ -32,6 +32,8 @@ Examples:
   raygrid render balls.nff --split uniform -o balls.npy --stats balls.json
   raygrid info scenes/room.glb
   raygrid export scenes/kinds.nff -o kinds.pov
+  raygrid up --array 2x2x2
+  raygrid submit scenes/room.glb -o room.png
 """
 RENDER_EXAMPLES = """\b
 Examples:
@@ -43,7 +45,7 @@ Examples:
   raygrid render scenes/room.glb --turntable 72 -o out/round.webp
 
 .npy holds the exact sums as int64, height x width x 3: linear radiance x 2^24, added over the samples of a pixel.
-docs/stats.md says what the statistics mean.
+docs/stats.md says what the statistics mean, docs/probes.md what probes tell.
 """
 LOAD_EXAMPLES = """\b
 Examples:
@@ -197,6 +199,12 @@ def cli() -> None:
               help="Code for the nodes: a surface, a shading rule or a background (docs/programs.md).")
 @click.option("--allow-programs", is_flag=True, help="Launch an array that takes programs. They run with your rights.")
 @click.option("--stats", type=click.Path(), metavar="FILE", help="Write what the machine did as JSON.")
+@click.option("--probe-record", type=click.Path(), metavar="FILE", help="Keep how every node stood, line by line, as JSON.")
+@click.option("--chrome-trace", type=click.Path(), metavar="FILE", help="Write the same as a trace for Perfetto.")
+@click.option("--probe-rate", type=Number(0.01, 100.0), default=10.0, show_default=True, metavar="HZ",
+              help="How often a node tells how it stands, if anybody asks.")
+@click.option("--profile", is_flag=True,
+              help="Say where each processor's time went: receive, birth, decode, walk, hit, shade, send, other, wait.")
 @click.option("--patience", type=Number(0.1, 1e9), default=30.0, show_default=True, metavar="SECONDS",
               help="Time without any progress after which the array is taken to hang.")
 @click.option("--attempts", type=Number(1, 1000), default=4, show_default=True, metavar="N",
@@ -214,8 +222,8 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
     from raygrid.host.command_frames import turntable_of
     from raygrid.host.command_render import Request, default_outputs, run_render
 
-    names = ["batch", "budget", "transfer", "stats", "patience", "attempts", "fault", "quiet"]
-    names += ["frames", "program", "allow_programs"]
+    of_machine = ("batch", "budget", "transfer", "stats", "patience", "attempts", "fault", "quiet", "profile")
+    names = (*of_machine, "probe_record", "chrome_trace", "probe_rate", "frames", "program", "allow_programs")
     machine = {name: options.pop(name) for name in names}
     turntable = turntable_of(options.pop("turntable"), options.pop("turntable_scene"))
     several = turntable is not None or machine["frames"] is not None
@@ -275,6 +283,13 @@ def export(scene: str, depth: int | None, highlights: bool | None, output: str |
     from raygrid.host.outputs import write_result
 
     write_result(export_file(scene, output, depth, highlights))
+
+
+from raygrid.host.cli_inspect import add_commands as _add_inspect_commands  # noqa: E402  (and so does it)
+from raygrid.host.cli_service import add_commands as _add_service_commands  # noqa: E402  (it uses the types above)
+
+_add_service_commands(cli, render, _debug_option)
+_add_inspect_commands(cli, _debug_option)
 
 
 def _lines(facts: dict[str, Any], indent: str = "") -> Iterator[str]:

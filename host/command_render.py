@@ -5,8 +5,10 @@ What is heavy to import (numba comes with it) is imported after the nursery was 
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +23,7 @@ from raygrid.host.progress import Talk
 if TYPE_CHECKING:
     from raygrid.host.job import Job
     from raygrid.host.picture import Picture
+    from raygrid.host.probing import Probing
     from raygrid.node.faulty import FaultPlan
     from raygrid.node.programs import Program
 
@@ -33,11 +36,13 @@ class Request:
     shape     processors on each axis
     outputs   paths of pictures and sums
     stats     path of the statistics, or None
+    profile   whether to say where the nodes' time went
     settings  of `raygrid.host.job.Settings`
     frames    first and last frame of a shot, or None
     turntable make the scene a shot of one turn, or None
     program   path of a program that the nodes are to run, or None
     allow_programs  whether the array takes programs
+    probe_record, chrome_trace   paths of what probes tell `probe_rate` times a second, or None
     """
 
     scene: str
@@ -51,11 +56,15 @@ class Request:
     attempts: int
     fault: FaultPlan | None
     quiet: bool
+    profile: bool
     settings: dict[str, Any]
     frames: tuple[int, int] | None = None
     turntable: Turntable | None = None
     program: str | None = None
     allow_programs: bool = False
+    probe_record: str | None = None
+    chrome_trace: str | None = None
+    probe_rate: float = 10.0
 
 
 def run_render(request: Request) -> None:
@@ -67,8 +76,8 @@ def run_render(request: Request) -> None:
     begun = time.perf_counter()
     check_name(request.scene)
     _check_outputs(request)
-    with Talk(request.quiet) as talk:
-        picture = _render(request, talk, begun)
+    with Talk(request.quiet) as talk, _probing(request) as probing:
+        picture = _render(request, talk, begun, probing)
         for output in request.outputs:
             talk.phase(f"writing {output}")
             picture.save(output, request.transfer)
@@ -82,11 +91,15 @@ def run_render(request: Request) -> None:
             talk.remark("no ray of the camera meets a surface: the picture shows the background only")
         for line in _summary(picture):
             talk.say(line)
+        if request.profile:
+            from raygrid.host.profile_table import profile_table
+
+            talk.table(profile_table(picture.stats["nodes"]))
     for output in request.outputs:
         write_result(output)
 
 
-def _render(request: Request, talk: Talk, begun: float) -> Picture:
+def _render(request: Request, talk: Talk, begun: float, probing: Probing | None) -> Picture:
     shape = request.shape
     with launching(request, talk) as array:
         array.begin()
@@ -101,6 +114,8 @@ def _render(request: Request, talk: Talk, begun: float) -> Picture:
         from raygrid.host.steady import render_steadily
 
         talk.expect(samples_expected(job))
+        if probing is not None:
+            array.probe(request.probe_rate, probing.take)
         picture = render_steadily(
             array, job, request.budget, talk.watch, attempts=request.attempts, on_fault=talk.fault
         )
@@ -109,11 +124,19 @@ def _render(request: Request, talk: Talk, begun: float) -> Picture:
     return picture
 
 
+def _probing(request: Request) -> AbstractContextManager[Probing | None]:
+    """Takes what probes tell, if that is asked for; outside of the array, so that its troubles cost no picture."""
+    if request.probe_record is None and request.chrome_trace is None:
+        return contextlib.nullcontext()
+    from raygrid.host.probing import Probing
+
+    return Probing(request.shape, request.probe_rate, request.probe_record, request.chrome_trace)
+
+
 def launching(request: Request, talk: Talk) -> Array:
     """The array that is asked for, not yet begun."""
-    return Array(
-        request.shape, request.batch, request.patience, talk.warming, request.fault, programs=request.allow_programs
-    )
+    options: dict[str, Any] = {"fault": request.fault, "profile": request.profile, "programs": request.allow_programs}
+    return Array(request.shape, request.batch, request.patience, talk.warming, **options)
 
 
 def program_of(request: Request) -> Program | None:
@@ -142,9 +165,10 @@ def _check_outputs(request: Request) -> None:
     for output in request.outputs:
         check_picture_path(output)
     written = list(request.outputs)
-    if request.stats is not None:
-        check_path(request.stats)
-        written.append(request.stats)
+    for path in (request.stats, request.probe_record, request.chrome_trace):
+        if path is not None:
+            check_path(path)
+            written.append(path)
     check_different(request.scene, written)
 
 

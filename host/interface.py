@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 from raygrid.emulator.array import BATCH, Array
 from raygrid.emulator.driver import BUDGET, PATIENCE
 from raygrid.emulator.limits import parse_shape
+from raygrid.emulator.samples import Sample
 from raygrid.host.job import Settings, make_job
 from raygrid.host.load import load_scene
 from raygrid.host.picture import Picture
@@ -19,6 +20,7 @@ from raygrid.host.render import Watch
 from raygrid.host.scene import Scene
 from raygrid.host.shot_jobs import jobs_of
 from raygrid.host.steady import ATTEMPTS, render_steadily
+from raygrid.node.faulty import parse_fault
 
 MOST_BATCH = 8192  # packets; their message stays far below the longest that a link takes
 
@@ -86,6 +88,14 @@ class Machine:
         for job in jobs_of(scene, self.shape, _settings(settings), frames):
             yield render_steadily(self._array, job, budget, watch, attempts=attempts)
 
+    def probe(self, rate: float, watch: Callable[[Sample], object] | None) -> None:
+        """Let every node tell `rate` times a second how it stands, while the array renders; 0: no more (docs/probes.md).
+
+        watch  called with each `raygrid.emulator.samples.Sample`
+        Raises ProtocolError for a rate that cannot be.
+        """
+        self._array.probe(rate, watch)
+
     def reset(self) -> None:
         """The reset line: drop whatever the array holds or does; afterwards it is empty and ready (`Array.reset`)."""
         self._array.reset()
@@ -114,6 +124,7 @@ def launch(
     batch: int = BATCH,
     patience: float = PATIENCE,
     allow_programs: bool = False,
+    fault: str | None = None,
 ) -> Machine:
     """Launch an array of node processes on this computer, and wait until it is ready.
 
@@ -121,6 +132,7 @@ def launch(
     batch     most packets a message
     patience  seconds without any progress after which the array is taken to hang
     allow_programs  whether nodes take programs: code that runs with your rights
+    fault     for experiments: what links between neighbours do to messages, "KIND[:RATE[:SEED]]" (`node.faulty`)
     Raises ValueError for what none of these can be, TooLarge for an array that does not fit this computer.
     """
     if not 1 <= batch <= MOST_BATCH:
@@ -128,4 +140,5 @@ def launch(
     if not 0.0 < patience < math.inf:
         raise ValueError(f"a patience came as {patience}, wanted seconds above 0")
     cells = parse_shape(shape if isinstance(shape, str) else "x".join(map(str, shape)))
-    return Machine(Array.launch(cells, batch=batch, patience=patience, programs=allow_programs))
+    plan = None if fault is None else parse_fault(fault)
+    return Machine(Array.launch(cells, batch=batch, patience=patience, fault=plan, programs=allow_programs))

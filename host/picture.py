@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -53,9 +54,10 @@ class Picture:
             picture[block] = np.floor(values * 255.0 + 0.5)
         return picture
 
-    def save(self, path: str | Path, transfer: str = "srgb") -> None:
+    def save(self, path: str | Path, transfer: str = "srgb", texts: Mapping[str, str] | None = None) -> None:
         """Write a .npy of the sums, or a picture (.png .jpg .webp .tif .bmp .ppm). It appears whole or not at all.
 
+        texts  kept beside the picture in a .png, keyword -> Latin-1 text
         Raises OutputError.
         """
         check_picture_path(path)
@@ -67,10 +69,20 @@ class Picture:
         check_side(path, self.sums.shape[1], self.sums.shape[0])
         kind = FORMATS[Path(path).suffix.lower()]
         image = Image.fromarray(self.bytes(transfer))
-        write_whole(path, lambda file: image.save(file, kind.name, **kind.options))
+        options = kind.options | ({"pnginfo": _png_texts(texts)} if texts and kind.name == "PNG" else {})
+        write_whole(path, lambda file: image.save(file, kind.name, **options))
 
     def _write_sums(self, file: BinaryIO) -> None:
         """What np.save writes, but in its own words an error of the disk would say nothing of it."""
         sums = np.ascontiguousarray(self.sums)
         np.lib.format.write_array_header_1_0(file, np.lib.format.header_data_from_array_1_0(sums))
         file.write(sums.data)
+
+
+def _png_texts(texts: Mapping[str, str]) -> Any:
+    from PIL.PngImagePlugin import PngInfo
+
+    info = PngInfo()
+    for keyword, text in texts.items():
+        info.add_text(keyword, text)
+    return info

@@ -62,6 +62,11 @@ class Talk:
             self._task = self._bar.add_task(what, total=total, detail="")
             self._bar.refresh()  # now, or a short phase would never be seen
 
+    def part(self, done: float, detail: str) -> None:
+        """Say how much of the total of the phase is done."""
+        if self._bar is not None:
+            self._bar.update(self._task, completed=done, detail=detail)
+
     def remark(self, text: str) -> None:
         """A line on the scene or the picture that stays, terminal or not."""
         self._print(f"note: {text}")
@@ -74,6 +79,14 @@ class Talk:
         """A line that stays, on a terminal."""
         if self._live:
             self._print(text)
+
+    def table(self, lines: list[str]) -> None:
+        """Lines that were asked for: on a terminal or not, quiet or not."""
+        for line in lines:
+            if self._bar is not None:
+                self._bar.console.print(line, highlight=False, markup=False, soft_wrap=True)
+            else:
+                click.echo(line, err=True)
 
     def _print(self, text: str) -> None:
         if self._quiet:

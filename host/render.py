@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from raygrid.emulator.driver import BUDGET, Driver, Progress
 from raygrid.emulator.increments import is_held
-from raygrid.emulator.limits import read_resources
+from raygrid.emulator.limits import read_memory
 from raygrid.host.job import Job, rays_enter
 from raygrid.host.picture import Picture
 from raygrid.host.scene_builder import plural
@@ -79,7 +79,7 @@ def _bring(driver: Driver, job: Job) -> None:
 
 def _check_memory(job: Job) -> None:
     """Raise TooLarge for a picture that this computer has no room for, before the kernel ends a process for it."""
-    need, there = job.pixels * PIXEL_BYTES, read_resources().memory
+    need, there = job.pixels * PIXEL_BYTES, read_memory()
     if need > there.left:
         raise TooLarge(
             f"a picture of {job.frame.width}x{job.frame.height} pixels needs {need / 1e9:.1f} GB of memory, "

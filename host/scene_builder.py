@@ -18,6 +18,7 @@ from raygrid.host.scene_polygons import (
     select_polygons,
     triangulate,
 )
+from raygrid.host.sources import look_at, recording
 from raygrid.node.errors import SceneError
 from raygrid.node.frame import MATERIAL
 from raygrid.node.surfaces import F64, MAX_MATERIALS, MAX_SURFACES, STRIDE, AnyKind, Batch, Kind, SurfaceSet, merge
@@ -36,9 +37,16 @@ MOST_BENT_MOVING = 2.0**-21
 
 def read_bytes(path: Path) -> bytes:
     """The contents of a file; raises SceneError if there is none, or if it cannot be read."""
+    sources = recording()
+    look = look_at(path) if sources is not None else None
     try:
-        return path.read_bytes()
+        data = path.read_bytes()
+        if sources is not None:
+            sources.note(path, look, data)
+        return data
     except FileNotFoundError:
+        if sources is not None:
+            sources.note(path, None, None)
         raise SceneError(f"{path}: there is no such file") from None
     except OSError as error:
         raise SceneError(f"{path}: the file cannot be read ({error.strerror or error})") from None

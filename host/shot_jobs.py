@@ -49,18 +49,37 @@ def jobs_of(
     if wrong or not numbers:
         came = f"frame {wrong[0]}" if wrong else "no frame"
         raise SceneError(f"{scene.name}: {came} came, wanted frames 1 to {scene.shot.frames}")
-    if settings.split not in SPLITS:
-        raise SceneError(f"a split came as {settings.split!r}, wanted one of {', '.join(SPLITS)}")
-    shot = _Machine(scene, scene.shot)
-    middle = numbers[len(numbers) // 2]
-    moves = shot.moves(middle)
-    there = SurfaceSet(tuple(placed(batch, moves) for batch in shot.surfaces))
-    frame = make_frame(shot.scene_at(middle), shot.world, settings)
-    space = split(settings.split, shape, shot.world, there, frame, wait)
+    jobs = ShotJobs(scene, shape, settings, numbers[len(numbers) // 2], wait)
     for number in numbers:
+        yield jobs.job(number)
+
+
+class ShotJobs:
+    """The jobs of one shot, which share world, planes between cells, and surfaces at rest.
+
+    middle  the frame from which the planes are chosen
+    wait    as of `raygrid.emulator.split.split`
+    Raises SceneError as `jobs_of` does.
+    """
+
+    def __init__(
+        self, scene: Scene, shape: Shape, settings: Settings, middle: int, wait: Callable[[], None] | None = None
+    ) -> None:
+        if settings.split not in SPLITS:
+            raise SceneError(f"a split came as {settings.split!r}, wanted one of {', '.join(SPLITS)}")
+        assert scene.shot is not None
+        self._settings, self._shot = settings, _Machine(scene, scene.shot)
+        shot, moves = self._shot, self._shot.moves(middle)
+        there = SurfaceSet(tuple(placed(batch, moves) for batch in shot.surfaces))
+        frame = make_frame(shot.scene_at(middle), shot.world, settings)
+        self._space = split(settings.split, shape, shot.world, there, frame, wait)
+
+    def job(self, number: int) -> Job:
+        """The job of a frame."""
+        shot, settings = self._shot, self._settings
         still = shot.scene_at(number)
         frame = make_frame(still, shot.world, settings)
-        yield Job(still, shot.world, space, shot.surfaces, frame, settings, shot.moves(number), number)
+        return Job(still, shot.world, self._space, shot.surfaces, frame, settings, shot.moves(number), number)
 
 
 class _Machine:

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from .camera import entry, eye_ray, home, image_point, primary_origin
-from .compiled import lean
+from .camera import entry, eye_ray, image_point, primary_origin
+from .compiled import lean, part
 from .packets import PRIMARY, SIZE, octahedral, pack_weight, put_ray
 from .pixels import slot
 from .tables import BORN
+from .walk import NO_PORT, towards_start
 
 COARSEST = 3  # log2 of the stride of the first level
 # fields of the cursor
@@ -49,9 +50,9 @@ def bear_primaries(cell, space, frame, pixels, cursor, packets, first, room, cou
             i += (stride - i % stride) % stride
             while i < end and made < room:
                 if not (coarser and i % (2 * stride) == 0):
-                    made += _bear(
-                        cell, space, frame, pixels, i, j, cursor[NUMBER], packets, first + made, white, counts
-                    )
+                    place = pixels.offsets[row] + i - pixels.first[row]
+                    to = (first + made) * SIZE
+                    made += _bear(cell, space, frame, pixels, i, j, place, cursor[NUMBER], packets, to, white)
                 i += stride
             cursor[COLUMN] = i
             if i < end:
@@ -60,10 +61,11 @@ def bear_primaries(cell, space, frame, pixels, cursor, packets, first, room, cou
         cursor[ROW] += 1
         if cursor[ROW] >= len(pixels.first):
             _next_level(frame, cursor)
+    counts[BORN + PRIMARY] += made
     return made
 
 
-@lean
+@part
 def _next_level(frame, cursor):
     cursor[ROW] = 0
     cursor[LEVEL] -= 1
@@ -74,20 +76,26 @@ def _next_level(frame, cursor):
             cursor[DONE] = 1
 
 
-@lean
-def _bear(cell, space, frame, pixels, i, j, number, packets, k, white, counts):
-    """Write the primary ray of one sample if its home is here; returns 1 or 0."""
+@part
+def _bear(cell, space, frame, pixels, i, j, place, number, packets, to, white):
+    """Write the primary ray of one sample if its home is here; returns 1 or 0. `place`: of its pixel in the store."""
     sample = (j * frame.width + i) * frame.samples + number
-    x, y = image_point(sample, frame.width, frame.samples)
+    x, y = np.float64(i), np.float64(j)
+    if frame.samples > 1:
+        x, y = image_point(sample, frame.width, frame.samples)
     origin, direction = eye_ray(frame.camera, x, y)
-    enters, point = entry(space.step, origin, direction)
-    if not enters:
+    enters, point, near = entry(space.step, origin, direction)
+    if not enters or towards_start(cell, point) != NO_PORT:
         return 0
-    place = home(space, point)
-    if place[0] != cell.index[0] or place[1] != cell.index[1] or place[2] != cell.index[2]:
-        return 0
-    start = primary_origin(space.step, origin, direction)
-    put_ray(packets, k * SIZE, PRIMARY, 1, sample, start, octahedral(direction[0], direction[1], direction[2]), white)
-    pixels.samples[slot(pixels, i, j)] += 1
-    counts[BORN + PRIMARY] += 1
+    start = primary_origin(space.step, origin, direction, near)
+    put_ray(packets, to, PRIMARY, 1, sample, start, octahedral(direction[0], direction[1], direction[2]), white)
+    pixels.samples[place] += 1
     return 1
+
+
+@lean
+def bear_primary(cell, space, frame, pixels, i, j, number, packet, counts):
+    """Write the primary ray of one sample of pixel (i, j) to `packet` if its home is here; returns 1 or 0."""
+    made = _bear(cell, space, frame, pixels, i, j, slot(pixels, i, j), number, packet, 0, pack_weight(1.0, 1.0, 1.0))
+    counts[BORN + PRIMARY] += made
+    return made

@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 
 from .compiled import part
-from .lattice import HALF, beside_ray, cell_index, nearest
+from .lattice import HALF, MOST_TRIES, beside_ray, cell_index, nearest
 from .walk import inverse
 
-TRIES = 16  # takes a primary ray 0.03 to 0.1 steps aside instead of 0.4; costs 2 % of a trace
+TRIES = MOST_TRIES  # takes a primary ray 0.03 to 0.1 steps aside instead of 0.4
 
 # plastic-number sequence (M. Roberts 2018, "The unreasonable effectiveness of quasirandom sequences")
 R2_X, R2_Y = 0.7548776662466927, 0.5698402909980532
@@ -78,20 +78,19 @@ def reach(step, origin, direction):
 
 @part
 def entry(step, origin, direction):
-    """(enters, (lattice point)): where a ray from the eye enters the world box; its home is the cell of that point."""
+    """(enters, (lattice point), t): where a ray from the eye enters the world box; its home is the cell of that point."""
     near, far = reach(step, origin, direction)
     point = (
         nearest(origin[0] + near * direction[0], step[0]),
         nearest(origin[1] + near * direction[1], step[1]),
         nearest(origin[2] + near * direction[2], step[2]),
     )
-    return near <= far, point
+    return near <= far, point, near
 
 
 @part
-def primary_origin(step, origin, direction):
-    """Lattice origin of a primary ray that enters the world box: a little further on than that, to be on the ray."""
-    near, _ = reach(step, origin, direction)
+def primary_origin(step, origin, direction, near):
+    """Lattice origin of a primary ray that enters the world box at t = near: a little further on, to be on the ray."""
     start = (origin[0] + near * direction[0], origin[1] + near * direction[1], origin[2] + near * direction[2])
     return beside_ray(step, start, direction, TRIES)
 
@@ -111,5 +110,5 @@ def home_of_sample(frame, space, sample):
     """The cell that is home to a sample whose ray enters the world box."""
     i, j = image_point(sample, frame.width, frame.samples)
     origin, direction = eye_ray(frame.camera, i, j)
-    _, point = entry(space.step, origin, direction)
+    _, point, _ = entry(space.step, origin, direction)
     return home(space, point)

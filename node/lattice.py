@@ -30,6 +30,9 @@ GENTLE = 0.125  # sine of the angle to a surface below which a secondary ray is 
 SLOW = 0.25  # a ray is slow on an axis if its unit direction has less than this there; on one it never is
 SLACK = 2.0**-17  # a cell retains what comes this near to it; see `node.overlap`
 WIDEN = 2.0**-10  # the world box is this part of its longest edge wider than the surfaces, on each side
+MOST_TRIES = 16
+FINE = 2.0**92  # squares of parts of a step, below 2^-45, become integers below 2^47
+LARGEST_INTEGER = 2**63 - 1
 THINNEST_CELL = 64  # lattice steps
 
 
@@ -80,29 +83,32 @@ def beside_ray(step, p, d, tries):
     """The lattice coordinates of a point beside the ray that starts at p in direction d, at p or a little further on.
 
     Rounding p would put the ray up to 0.87 steps aside, but a step along itself changes nothing of what it sees. So of
-    the next `tries` points at which one coordinate lies on the lattice, the one is taken whose others miss it least.
+    the next `tries` points (at most MOST_TRIES) at which one coordinate lies on the lattice, the one is taken whose
+    others miss it least.
     """
     x, y, z = p[0] / step[0], p[1] / step[1], p[2] / step[2]
     u, v, w = d[0] / step[0], d[1] / step[1], d[2] / step[2]
     of_x, of_y, of_z = _worth(d[0], step[0]), _worth(d[1], step[1]), _worth(d[2], step[2])
     place, speed = (x, u) if of_x >= max(of_y, of_z) else ((y, v) if of_y >= of_z else (z, w))
-    first = (math.ceil(place) if speed > 0.0 else math.floor(place)) - place
-    stride = max(1.0, math.floor(LONGEST_STEP * abs(speed)))
-    stride = stride if speed > 0.0 else -stride
-    least, best = np.inf, 0.0
+    inverse = 1.0 / speed
+    first = ((math.ceil(place) if speed > 0.0 else math.floor(place)) - place) * inverse
+    stride = max(1.0, math.floor(LONGEST_STEP * abs(speed))) * abs(inverse)
+    # the number of the point is kept in the low bits of what is compared: so the loop runs on vectors
+    best = np.int64(LARGEST_INTEGER)
     for k in range(tries):
-        t = (first + k * stride) / speed
+        t = first + k * stride
         a, b, c = x + t * u, y + t * v, z + t * w
         a = (a - math.floor(a + 0.5)) * step[0]
         b = (b - math.floor(b + 0.5)) * step[1]
         c = (c - math.floor(c + 0.5)) * step[2]
-        aside = a * a + b * b + c * c - (a * d[0] + b * d[1] + c * d[2]) ** 2
-        if aside < least:
-            least, best = aside, t
+        along = a * d[0] + b * d[1] + c * d[2]
+        aside = a * a + b * b + c * c - along * along
+        best = min(best, np.int64(aside * FINE) * MOST_TRIES + k)
+    t = first + (best & (MOST_TRIES - 1)) * stride
     return (
-        nearest(p[0] + best * d[0], step[0]),
-        nearest(p[1] + best * d[1], step[1]),
-        nearest(p[2] + best * d[2], step[2]),
+        nearest(p[0] + t * d[0], step[0]),
+        nearest(p[1] + t * d[1], step[1]),
+        nearest(p[2] + t * d[2], step[2]),
     )
 
 

@@ -14,6 +14,7 @@ from .faulty import FaultPlan, Faulty, tend
 from .line import Line
 from .link import Channel, Link, State
 from .pair import Pair
+from .probe import Probe, read_rate
 from .processor import Processor
 from .reset import read_reset
 from .walk import HOST, OPPOSITE
@@ -28,7 +29,8 @@ def run(config: dict[str, Any], life: int, line: int) -> None:
     """Be one node until the order `end`, or until the pipe `life` closes because the launcher is gone.
 
     config  index [x, y, z], shape, epoch, machine (name of the array), batch (most packets a message), and
-            links: a list of {port, endpoint, bind}; and fault, (kind, rate, seed) of `node.faulty`, if it is wanted
+            links: a list of {port, endpoint, bind}; and fault, (kind, rate, seed) of `node.faulty`, if it is wanted;
+            and profile, whether to say where time goes
     line    descriptor of the node's end of the line to the host (`node.line`)
 
     A reset order on the line ends an epoch, whatever its state: links, packets, surfaces and pixels are dropped, and
@@ -38,23 +40,26 @@ def run(config: dict[str, Any], life: int, line: int) -> None:
     gc.set_threshold(50_000, 50, 50)  # a turn makes no cycles; the default would look for them every few turns
     context: zmq.Context[Any] = zmq.Context(io_threads=1)
     to_host = Line(line)
+    probe = Probe(to_host)
     try:
         next_epoch: dict[str, Any] | None = config
         while next_epoch is not None:
-            next_epoch = _live(next_epoch, context, life, to_host)
+            next_epoch = _live(next_epoch, context, life, to_host, probe)
     finally:
         to_host.close()
         context.destroy(linger=0)
 
 
-def _live(config: dict[str, Any], context: zmq.Context[Any], life: int, line: Line) -> dict[str, Any] | None:
+def _live(
+    config: dict[str, Any], context: zmq.Context[Any], life: int, line: Line, probe: Probe
+) -> dict[str, Any] | None:
     """One epoch. Returns the config of the next one, None if there is none."""
     pairs: dict[int, Pair] = {}
     try:
         for link in config["links"]:
             pairs[link["port"]] = Pair(context, link["endpoint"], link["bind"])
         line.send({"is": "reset", "epoch": config["epoch"]})
-        return _serve(config, pairs, _with_faults(config, pairs, line), life, line)
+        return _serve(config, pairs, _with_faults(config, pairs, line), life, line, probe)
     except ProtocolError as error:
         line.send({"is": "broken", "epoch": config["epoch"], "why": str(error)[:LONGEST_WHY]})
     finally:
@@ -66,15 +71,18 @@ def _live(config: dict[str, Any], context: zmq.Context[Any], life: int, line: Li
     while not line.closed:
         if any(ready == life for ready, _ in poller.poll()):
             return None
-        for order in _orders(line, config):
+        for order in _orders(line, config, probe):
             return order
     return None
 
 
-def _orders(line: Line, config: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """The configs of the resets that have come on the line; what is no order is refused and counted."""
+def _orders(line: Line, config: dict[str, Any], probe: Probe) -> Iterator[dict[str, Any]]:
+    """The configs of the resets that have come on the line; rates of probes are set, what is no order is refused and counted."""
     while (order := line.receive()) is not None:
         try:
+            if order.get("do") == "probe":
+                probe.set_rate(read_rate(order))
+                continue
             if order.get("do") != "reset":
                 raise ProtocolError(f"the words {order.get('do')!r} came on a line, wanted an order")
             yield read_reset(order, config)
@@ -108,13 +116,22 @@ def _with_faults(config: dict[str, Any], pairs: dict[int, Pair], line: Line) -> 
 
 
 def _serve(
-    config: dict[str, Any], pairs: dict[int, Pair], channels: dict[int, Channel], life: int, line: Line
+    config: dict[str, Any],
+    pairs: dict[int, Pair],
+    channels: dict[int, Channel],
+    life: int,
+    line: Line,
+    probe: Probe,
 ) -> dict[str, Any] | None:
     index, shape = tuple(config["index"]), tuple(config["shape"])
     processor = Processor(
         index, shape, open_links(config, channels), config["batch"], programs=bool(config.get("programs"))
     )
     faults = [channel for channel in channels.values() if isinstance(channel, Faulty)]
+    if config.get("profile"):
+        from .profile import Profile
+
+        Profile(processor)
     ports = {pair.socket: port for port, pair in pairs.items()}
     poller = zmq.Poller()
     for socket in ports:
@@ -122,12 +139,12 @@ def _serve(
     poller.register(life, zmq.POLLIN)
     poller.register(line.fileno(), zmq.POLLIN)
     while not processor.ended:
-        patience = _patience(processor)
+        patience = _patience(processor, probe)
         for ready, _ in poller.poll(tend(faults, patience) if faults else patience):
             if ready in ports:
                 processor.receive(ports[ready])
                 continue
-            for order in _orders(line, config):
+            for order in _orders(line, config, probe):
                 return order
             if ready == life or line.closed:
                 return None
@@ -137,18 +154,21 @@ def _serve(
                 if ready in ports:  # the rest is looked at in a moment
                     processor.receive(ports[ready])
         processor.work()
+        if probe.wanted:
+            probe.maybe_speak(processor, config["epoch"])
     poller.unregister(line.fileno())
     _close(processor, poller, ports, life)
     return None
 
 
-def _patience(processor: Processor) -> int | None:
+def _patience(processor: Processor, probe: Probe) -> int | None:
     """Milliseconds to wait for a message; None: until one comes."""
     if processor.busy:
         return 0
     limit = processor.wait_limit()
     if processor.choked:
         limit = CHOKED_SECONDS if limit is None else min(limit, CHOKED_SECONDS)
+    limit = probe.patience(limit)
     return None if limit is None else int(limit * 1000) + 1
 
 

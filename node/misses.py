@@ -21,7 +21,7 @@ def add_missed(frame, step, sums):
         for number in range(frame.samples):
             i, j = image_point(pixel * frame.samples + number, frame.width, frame.samples)
             origin, direction = eye_ray(frame.camera, i, j)
-            enters, _ = entry(step, origin, direction)
+            enters, _, _ = entry(step, origin, direction)
             if not enters:
                 colour = edge_colour(frame, direction)
                 for k in range(3):

@@ -28,10 +28,14 @@ class Pair:
         self.socket.setsockopt(zmq.SNDHWM, 4 * WINDOW)
         self.socket.setsockopt(zmq.RCVHWM, 4 * WINDOW)
         self.socket.setsockopt(zmq.RECONNECT_IVL, RECONNECT_MS)
-        if bind:
-            self.socket.bind(endpoint)
-        else:
-            self.socket.connect(endpoint)
+        try:
+            if bind:
+                self.socket.bind(endpoint)
+            else:
+                self.socket.connect(endpoint)
+        except zmq.ZMQError:
+            self.close()
+            raise
 
     def send(self, message: bytes | memoryview) -> bool:
         """Hand over a message without blocking; False if there is no room now."""

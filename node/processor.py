@@ -49,6 +49,14 @@ from .usage import peak_memory, private_memory
 from .walk import HOST, PORTS
 
 FLUSH = 256  # packets for which an output is sent although there is work, unless the root says otherwise
+PHASES = {
+    "space": "load",
+    "frame": "trace",
+    "collect": "collect",
+    "report": "idle",
+    "halt": "idle",
+}  # begun by an order
+MOST_REASONS = 100  # that are told apart, so that a hostile neighbour cannot fill the memory with them
 CLOGGED = 64  # waiting messages on a link at which no more surfaces are taken in
 
 # sums of a wave: the counts of node.tables, then these
@@ -86,12 +94,13 @@ class Processor:
         self._answers: list[dict[str, Any]] = []
         self._deadline = 0.0
         self._received = self._handed_on = 0
-        self._halted = False
+        self._halted = self._built = False
         self.refused: Counter[str] = Counter()
         self._cpu_at_frame = 0.0
         self._gather, self.linger, self._flush_at = 0, 0.0, min(FLUSH, batch)
         self._ports = list(links.items())
         self.choked = self._up = False
+        self.phase = "idle"  # load, trace, collect or idle: for the probes
 
     # --- the thin loop's three calls ---------------------------------------------------------------
 
@@ -178,7 +187,9 @@ class Processor:
             self._refuse(f"link {link.name}: packet {number} of a message: {FAULTS[bad]}")
 
     def _refuse(self, why: str) -> None:
-        """Count what is refused; the next wave reports it."""
+        """Count what is refused; the next wave reports it. Reasons are kept apart only while they are few."""
+        if len(self.refused) >= MOST_REASONS and why not in self.refused:
+            why = f"node {','.join(map(str, self.index))}: for many other reasons"
         self.refused[why] += 1
 
     def _flush(self) -> None:
@@ -208,8 +219,10 @@ class Processor:
             if self._halted:
                 continue
             space, cell = self.tracer.space, self.tracer.cell
-            if space is None or cell is None:
-                self._refuse(f"link {link.name}: surfaces came before a space")
+            if space is None or cell is None or self._built:
+                self._refuse(
+                    f"link {link.name}: surfaces came " + ("after the order to build" if space else "before a space")
+                )
                 continue
             try:
                 corner, batch = read_surfaces(arrival.message, arrival.items)
@@ -271,9 +284,10 @@ class Processor:
 
     def _obey(self, order: dict[str, Any]) -> None:
         do = order.get("do")
+        self.phase = PHASES.get(str(do), self.phase)
         if do == "space":
             self.tracer.set_space(read_space(order, self.shape))
-            self._halted = False
+            self._halted = self._built = False
             self._branches = {}
             self._received = self._handed_on = 0
             self.refused.clear()
@@ -294,6 +308,7 @@ class Processor:
             self._handed_on += self.tracer.increments.hand()
         elif do == "build":
             self.tracer.build()
+            self._built = True
         elif do == "frame":
             self._cpu_at_frame = time.process_time()
             self.tracer.set_frame(read_frame(order))

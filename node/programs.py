@@ -62,10 +62,10 @@ class Program(NamedTuple):
 
 
 class Compiled(NamedTuple):
-    """A program in the ray step: functions that take the place of `step.step` and `misses.add_missed`."""
+    """A program in the ray step: functions that take the place of `turn.turn` and `misses.add_missed`."""
 
     program: Program
-    step: Callable[..., Any]
+    turn: Callable[..., Any]
     add_missed: Callable[..., Any]
 
 
@@ -203,7 +203,8 @@ def _linked(program: Program, file: Path) -> Compiled:
     taken = {name: into[name] for name in ("normals", "_bear_shadows", "edge_colour")}
     step = _again("step", taken | {name: traverse[name] for name in ("closest", "blocked")})
     misses = _again("misses", {"edge_colour": into["edge_colour"]})
-    return Compiled(program, step["step"], misses["add_missed"])
+    turn = _again("turn", {"step": step["step"]})
+    return Compiled(program, turn["turn"], misses["add_missed"])
 
 
 def _again(name: str, instead: dict[str, Any]) -> dict[str, Any]:

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from .backlog import RAYS, SHADOWS, Backlog
-from .births import DONE, bear_primaries, new_cursor
+from .backlog import Backlog
+from .births import DONE, new_cursor
 from .errors import ProtocolError
 from .hierarchy import DEPTH
 from .holdings import build_surfaces, empty_surfaces, refit_surfaces
@@ -18,15 +18,13 @@ from .packets import PIXEL, SIZE, Limits
 from .pixels import Pixels, make_pixels, send_pixels
 from .programs import Compiled
 from .refit import WORSE, expected_cost
-from .step import HEAD, make_outputs, step
+from .step import HEAD, make_outputs
 from .surfaces import AddedKind, Batch, SurfaceSet, merge
 from .tables import BORN, COUNTS, DIED, SENT, Frame, frame_limits
-from .walk import HOST, OUTPUTS, SELF, SELF_RAYS
+from .turn import ADMIT_AT_ONCE, ADMIT_BELOW, CROWDED, PORTION, TURN, turn
+from .walk import HOST, OUTPUTS, SELF_RAYS
 
-CHUNK = 8192  # packets in a call of the step: its overhead is paid, and links are looked at every few ms
-WORTHWHILE = 256  # packets for which a call is worth more than serving classes strictly in order
-ADMIT_BELOW = 1024  # primaries are born only while fewer rays than this wait
-ADMIT_AT_ONCE = 8192
+CHUNK = 8192  # pixel packets sent in a turn
 ROOM = 16384  # packets that an output holds
 
 
@@ -50,11 +48,12 @@ class Tracer:
         self.increments = Increments()
         self.program: Compiled | None = None
         self.ready: Compiled | None = None  # a program that is to be used next
-        self._step = step
+        self._turn = turn
         self._stale = False  # whether what is retained has changed since the tables were made
         self._built_cost = 0.0  # expected cost of the hierarchy when it was built, 0: not worked out
         self.surfaces = empty_surfaces()
         self.backlog = Backlog()
+        self._crowded = False  # whether a stack had no room in the last turn
         self.outputs = make_outputs(ROOM, DEPTH)
         self.counts = np.zeros(COUNTS, np.int64)
         self.cursor = new_cursor(False)
@@ -115,7 +114,7 @@ class Tracer:
     def use_ready(self) -> None:
         """Let the program that is ready take the place of the one before; none: the step without a program."""
         self.program = self.ready
-        self._step = step if self.program is None else self.program.step
+        self._turn = turn if self.program is None else self.program.turn
 
     def check_known(self, batch: Batch) -> None:
         """Raise ProtocolError for programmed surfaces where no program says what they are."""
@@ -161,60 +160,32 @@ class Tracer:
         return self.backlog.held > 0 or (self.quota > 0 and self.samples_left) or self.collecting >= 0
 
     def work(self) -> None:
-        """One call of the step over the most urgent packets; first bear primaries if few rays wait."""
+        """One turn over the most urgent packets, in which primaries are born if few rays wait."""
         if self.frame is None:
             return
-        if self.quota > 0 and self.samples_left and self.backlog.stacks[RAYS].held < ADMIT_BELOW:
-            self._admit()
-        stack = self.backlog.most_urgent(WORTHWHILE)
-        if stack is not None:
-            first = max(0, stack.held - CHUNK)
-            done = self._step(
+        backlog = self.backlog
+        if backlog.held or (self.quota > 0 and self.samples_left):
+            if self._crowded:
+                births = PORTION * max(self.frame.n_lights, 2)
+                backlog.make_room(0, births, max(births, ADMIT_AT_ONCE))
+            self.quota, why = self._turn(
                 self.cell,
                 self.space,
                 self.frame,
                 self.surfaces,
                 self.pixels,
-                stack.packets,
-                stack.ports,
-                first,
-                stack.held,
+                self.cursor,
+                self.quota,
+                (TURN, ADMIT_BELOW, ADMIT_AT_ONCE),
+                backlog.stacks,
+                backlog.count,
                 self.outputs,
                 self.counts,
             )
-            stack.took(first, done)
-            self._take_own(SELF, SHADOWS)
-            self._take_own(SELF_RAYS, RAYS)
-            self.backlog.most_held = max(self.backlog.most_held, self.backlog.held)
+            self._crowded = why == CROWDED
+            self.samples_left = self.samples_left and int(self.cursor[DONE]) == 0
         elif self.collecting >= 0:
             self._send_pixels()
-
-    def _admit(self) -> None:
-        stack = self.backlog.stacks[RAYS]
-        many = min(self.quota, ADMIT_AT_ONCE)
-        stack.make_room(many)
-        made = bear_primaries(
-            self.cell,
-            self.space,
-            self.frame,
-            self.pixels,
-            self.cursor,
-            stack.packets,
-            stack.held,
-            many,
-            self.counts,
-        )
-        stack.ports[stack.held : stack.held + made] = SELF
-        stack.grew(made)
-        self.quota -= made
-        self.samples_left = int(self.cursor[DONE]) == 0
-
-    def _take_own(self, output: int, stack: int) -> None:
-        """What starts in this node waits for the next call."""
-        held = int(self.outputs.held[output])
-        if held:
-            self.backlog.stacks[stack].push(self.outputs.data[output, HEAD : HEAD + held * SIZE], SELF)
-            self.outputs.held[output] = 0
 
     def _send_pixels(self) -> None:
         """Fill the output towards the nearest corner with pixel packets."""

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import time
+
+PRIVATE_SECONDS = 1.0  # age at which private memory is looked up again: that takes the kernel longer than a small frame
+_private = (0, -1.0, 0)  # process, when, bytes
+
 
 def _sum_of(path: str, names: tuple[str, ...]) -> int:
     """Sum of the named lines of a /proc file, given there in kB; 0 if it cannot be read."""
@@ -18,5 +24,9 @@ def peak_memory() -> int:
 
 
 def private_memory() -> int:
-    """Bytes resident now that no other process shares."""
-    return _sum_of("/proc/self/smaps_rollup", ("Private_Clean:", "Private_Dirty:"))
+    """Bytes resident that no other process shares, as of PRIVATE_SECONDS ago at most."""
+    global _private
+    pid, now = os.getpid(), time.monotonic()
+    if _private[0] != pid or now - _private[1] >= PRIVATE_SECONDS:  # a fork starts anew
+        _private = pid, now, _sum_of("/proc/self/smaps_rollup", ("Private_Clean:", "Private_Dirty:"))
+    return _private[2]

@@ -11,6 +11,7 @@ from support_links import Passing
 from support_scenes import Scene, space_of
 
 from raygrid.emulator.memory_array import MemoryArray
+from raygrid.node.backlog import CLASSES
 from raygrid.node.link import Channel, Link
 from raygrid.node.memory_pair import MemoryPair
 from raygrid.node.messages import MessageKind
@@ -161,7 +162,7 @@ def packets_alive(array: MemoryArray) -> NDArray[np.uint8]:
     found = []
     for processor in array.processors:
         tracer = processor.tracer
-        found += [stack.packets[: stack.held * SIZE] for stack in tracer.backlog.stacks]
+        found += [tracer.backlog.packets(kind) for kind in range(CLASSES)]
         found += [row[HEAD : HEAD + held * SIZE] for row, held in zip(*tracer.outputs[:2], strict=True) if held]
     for link in links_of(array):
         found += [np.frombuffer(payload, np.uint8) for kind, _, payload in link.queued if kind == MessageKind.PACKETS]

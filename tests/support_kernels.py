@@ -100,7 +100,7 @@ def _homes(frame, space, enters, points, places, directions):
     for sample in range(len(enters)):
         i, j = image_point(sample, frame.width, frame.samples)
         origin, direction = eye_ray(frame.camera, i, j)
-        enters[sample], point = entry(space.step, origin, direction)
+        enters[sample], point, _ = entry(space.step, origin, direction)
         place = home(space, point)
         for axis in range(3):
             points[sample, axis], places[sample, axis], directions[sample, axis] = (

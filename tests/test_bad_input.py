@@ -255,7 +255,7 @@ def test_a_picture_larger_than_the_memory(monkeypatch, tmp_path):
 
     plenty = Bound(1 << 40, "no limit")
     few = Resources(plenty, plenty, plenty, Bound(5_000_000, "memory.max of the control group"))
-    monkeypatch.setattr("raygrid.host.render.read_resources", lambda: few)
+    monkeypatch.setattr("raygrid.host.render.read_memory", lambda: few.memory)
     outcome = here("render", TINY, "--size", "1000x1000", "-o", str(tmp_path / "x.png"))
     one_line(
         outcome,

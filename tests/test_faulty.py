@@ -12,6 +12,7 @@ from support_cli import TINY, as_process, here, one_line
 from support_links import LEFT, RIGHT
 from support_processes import no_leftovers
 
+import raygrid
 from raygrid.emulator.array import Array
 from raygrid.emulator.memory_array import MemoryArray
 from raygrid.host.job import Job, Settings, make_job
@@ -214,6 +215,15 @@ def test_faults_that_cannot_be_asked_for(text):
     with pytest.raises(ValueError, match="a fault came"):
         parse_fault(text)
     one_line(here("render", TINY, "--fault", text), 2, r"raygrid render: --fault: a fault came .*wanted .*")
+
+
+@pytest.mark.usefixtures("no_leftovers")
+def test_faults_in_python():
+    with raygrid.launch("2x1x1", fault="delay:0.05", batch=64) as machine:
+        picture = machine.render(TINY, size=(48, 36))
+    assert picture.stats["injected"] > 0
+    with pytest.raises(ValueError, match="a fault came as 'x'"):
+        raygrid.launch("2x1x1", fault="x")
 
 
 @pytest.mark.usefixtures("no_leftovers")

@@ -21,6 +21,7 @@ from raygrid.node.flood import branches, corners
 from raygrid.node.lattice import HALF, make_cell
 from raygrid.node.overlap import meets
 from raygrid.node.surfaces import Kind, SurfaceSet
+from raygrid.node.walk import HOST
 
 SHAPES = ["1x1x1", "2x2x2", "4x3x1", "3x3x3", "5x4x2", "uneven 4x4x4"]
 
@@ -100,6 +101,33 @@ def test_local_surfaces_are_not_handed_to_all():
     # a path along the tree of the nearest corner is at most 5 nodes long here; a flood to all would reach 40
     assert received < 6 * len(small)
     array.driver.end()
+
+
+def test_the_end_of_loading_is_not_believed_too_soon():
+    """A wave that misses a surface in one node, and counts the copy that this node has handed on, finds as many sent as
+    received while another copy is still under way. The nodes of 2x2x1 take turns so that this happens."""
+    array = MemoryArray((2, 2, 1), order=lambda n: turns())
+    _, above, beside, far = array.processors
+    surfaces, space = mixed_scene(1, EVEN_STEP, 1).surfaces, space_of("2x2x1", EVEN_STEP)
+    corner = np.array([[0.6, 0.6, 0.3, -0.1, 0.6, 0.2, 0.6, -0.1, 0.3]])  # by the far one
+    surfaces = SurfaceSet((batch(Kind.TRIANGLE, list(corner)),))
+    from_host, answers = far.links[HOST].channel, far.links[2].send_order
+    hear, waves = from_host.receive, []
+    from_host.receive = lambda: hear() if array.driver.waves < 2 or len(waves) >= 3 else None  # ready, space, loaded
+    far.links[2].send_order = lambda *order: (waves.append(order), answers(*order))
+
+    def turns():
+        if len(waves) < 3:
+            return [0, 2, 1, 3]
+        if not far.links[HOST].received or far._received == 0:
+            return [3]
+        return [1, 0] if array.driver.waves == 3 else [0, 1, 2, 3]
+
+    array.driver.ready()
+    array.driver.load(space, surfaces)
+    for processor in (above, beside, far):
+        assert len(processor.tracer.retained) == 1
+        assert len(processor.tracer.surfaces.triangles) == 1, "the tables were made without it"
 
 
 def test_messages_of_one_surface_and_a_world_in_one_corner(monkeypatch):

@@ -227,6 +227,22 @@ def test_credit_for_what_was_never_sent_is_refused(wire, credit):
         received(wire, talk.links[0])
 
 
+def _flipped(at: int):
+    return lambda raw: [raw[:at] + bytes([raw[at] ^ 64]) + raw[at + 1 :]]
+
+
+@pytest.mark.parametrize(
+    "damage", [_flipped(2), _flipped(5), _flipped(9), _flipped(17), _flipped(30), lambda raw: [raw[:-1]]]
+)
+def test_what_was_changed_on_its_way_is_refused(wire, damage):
+    talk = Talk(wire, left=Meddler(wire.ends[0], PACKETS, 2, damage, sealed=False)).up()
+    for number in range(3):
+        talk.links[0].send_data(PACKETS, 1, bytes([number]) * SIZE)
+    with pytest.raises(ProtocolError, match="another checksum than its own: it was changed or cut on its way"):
+        talk.until(lambda: False, "an error")
+    assert payloads(talk.heard[1]) == [bytes(SIZE)]
+
+
 @pytest.mark.parametrize("raw", [b"", b"hello", bytes(HEAD), b"\xff" * 40])
 def test_rubbish_is_refused(wire, raw):
     talk = Talk(wire).up()

@@ -18,11 +18,14 @@ from raygrid.node.messages import (
     SUMMED,
     MessageKind,
     check_packets,
+    is_whole,
+    pack_message,
     pack_order,
     pack_surfaces,
     read_header,
     read_order,
     read_surfaces,
+    seal,
 )
 from raygrid.node.packets import SIZE
 from raygrid.node.step import HEAD
@@ -316,3 +319,24 @@ def test_every_flip_of_a_bit_in_the_heads_is_read_or_refused():
             data = bytearray(raw)
             data[bit >> 3] ^= 1 << (bit & 7)
             read_all(bytes(data))
+
+
+@pytest.mark.parametrize("kind", list(Kind))
+def test_every_flip_of_a_bit_and_every_cut_is_seen_in_the_checksum(kind):
+    raw = surfaces_message(random_batch(kind, 2))
+    assert is_whole(raw)
+    for bit in range(8 * len(raw)):
+        data = bytearray(raw)
+        data[bit >> 3] ^= 1 << (bit & 7)
+        assert not is_whole(bytes(data))
+    assert not any(is_whole(raw[:length]) for length in range(HEAD, len(raw)))
+    assert not is_whole(raw + b"\0")
+
+
+def test_a_message_made_whole_and_one_sealed_in_place_are_the_same():
+    raw = pack_message(3, 1, 2, 3, 4, b"payload")
+    assert is_whole(raw)
+    row = np.frombuffer(raw, np.uint8).copy()
+    row[SUMMED:HEAD] = 0
+    seal(row.data)
+    assert row.tobytes() == raw

@@ -1,6 +1,7 @@
 """The socket directory, and that a front end leaves neither it nor a process behind, however it ends."""
 
 import os
+import shutil
 import signal
 import socket
 import stat
@@ -60,7 +61,8 @@ def dead_process() -> int:
 
 def make_directory(base: Path, mark: str | None, age: float = 0.0) -> Path:
     """A socket directory as another front end would have left it, last changed `age` seconds ago."""
-    path = Path(tempfile.mkdtemp(prefix=places.PREFIX, dir=base))
+    path = Path(base, places._fresh_name())
+    path.mkdir(0o700)
     (path / "0-0,0,0x").touch()
     if mark is not None:
         (path / PID_FILE).write_text(mark)
@@ -273,16 +275,31 @@ def test_what_was_never_signed_is_swept_after_a_while(base, mark):
 
 def test_only_directories_of_ours_are_swept(base, tmp_path):
     (tmp_path / "precious").touch()
-    (base / "raygrid-link").symlink_to(tmp_path)
-    (base / "raygrid-file").touch()
-    (base / "other").mkdir()
+    link, file, other = base / "raygrid-0123456789ab", base / "raygrid-ba9876543210", base / "other"
+    link.symlink_to(tmp_path)
+    file.touch()
+    other.mkdir()
     assert sweep(str(base)) == []
-    places.remove(str(base / "raygrid-link"))
-    places.remove(str(base / "other"))
+    places.remove(str(link))
+    places.remove(str(other))
     assert (tmp_path / "precious").exists()
     assert len(list(base.iterdir())) == 3
-    (base / "raygrid-link").unlink()
-    (base / "raygrid-file").unlink()
+    link.unlink()
+    file.unlink()
+
+
+@pytest.mark.parametrize(
+    "name", ["raygrid-pictures", "raygrid-0123456789", "raygrid-0123456789abc", "raygrid-0123456789AB"]
+)
+def test_a_directory_that_a_user_named_after_raygrid_is_never_removed(base, name):
+    path = base / name
+    path.mkdir()
+    (path / "picture.png").touch()
+    os.utime(path, (0.0, 0.0))
+    assert sweep(str(base)) == []
+    places.remove(str(path))
+    assert (path / "picture.png").exists()
+    shutil.rmtree(path)
 
 
 def test_sweeping_what_is_not_there_does_nothing(tmp_path):

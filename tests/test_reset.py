@@ -19,7 +19,7 @@ from raygrid.emulator.topology import indices
 from raygrid.host.job import Job, Settings, make_job
 from raygrid.host.load import load_scene
 from raygrid.host.render import render_job
-from raygrid.node.errors import ArrayError, LostProcess, ProtocolError
+from raygrid.node.errors import ArrayError, LostProcess, ProtocolError, Stuck
 from raygrid.node.messages import MessageKind
 
 SCENES = Path(__file__).parents[1] / "scenes"
@@ -110,6 +110,60 @@ def test_dead_and_stopped_nodes_are_forked_anew_and_the_others_are_not(array):
     assert [node.index for node in array.nodes()] == list(indices(SHAPE))
     assert [node.pid for node in array.nodes()] == array.pids
     assert {node.state for node in array.nodes()} <= {"running", "waiting"}
+    still_right(array)
+
+
+def test_a_node_that_does_not_answer_is_forked_anew(array, monkeypatch):
+    """As one in a loop without end: to the kernel it is as well as any other."""
+    pids = array.pids
+    os.kill(pids[3], signal.SIGSTOP)
+    wait_stopped(pids[3])
+    monkeypatch.setattr("raygrid.emulator.crew.process_state", lambda pid: "R")
+    array.reset()
+    assert [now == then for now, then in zip(array.pids, pids, strict=True)] == [True, True, True, False]
+    still_right(array)
+
+
+def test_a_node_that_hangs_is_noticed_when_patience_ends(array, monkeypatch):
+    monkeypatch.setattr("raygrid.emulator.crew.process_state", lambda pid: "R")
+    os.kill(array.pids[1], signal.SIGSTOP)
+    array.driver.patience = 0.5
+    with pytest.raises(Stuck, match=r"nothing came from the array for 0\.5 seconds"):
+        render_job(array.driver, job())
+    array.reset()
+    still_right(array)
+
+
+def test_if_nodes_cannot_be_forked_it_is_said_and_the_next_reset_may_succeed(array, monkeypatch):
+    os.kill(array.pids[0], signal.SIGKILL)
+    wait_dead(array.pids[0])
+    with monkeypatch.context() as patch:
+
+        def refuse(configs):
+            raise ArrayError("the array could not be launched: node 1 of 1 could not be forked: no room")
+
+        patch.setattr(array._nursery, "launch", refuse)
+        with pytest.raises(ArrayError, match="could not be forked: no room"):
+            array.reset()
+        with pytest.raises(ArrayError, match="could not be forked: no room"):
+            _ = array.driver
+    array.reset()
+    still_right(array)
+
+
+def test_links_that_never_come_up_lead_to_a_new_launch(array, monkeypatch):
+    """Somebody takes the place of a neighbour again and again."""
+    nursery = array._nursery.pid
+    begin = Array._begin_epoch
+
+    def fail(self):
+        if self._nursery.pid == nursery:
+            raise Stuck("nothing came from the array while waiting until the order 'ready' came back")
+        begin(self)
+
+    monkeypatch.setattr(Array, "_begin_epoch", fail)
+    array.reset()
+    assert array._nursery.pid != nursery
     still_right(array)
 
 

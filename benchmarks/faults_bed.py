@@ -1,0 +1,221 @@
+"""What the fault campaign runs on: an array that lives through all cases, moments at which to strike, and leftovers."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import psutil
+
+from raygrid.emulator import places
+from raygrid.emulator.array import Array
+from raygrid.host.job import Job, Settings, make_job
+from raygrid.host.load import load_scene
+from raygrid.host.picture import Picture
+from raygrid.host.steady import Fault, render_steadily
+from raygrid.node.errors import RaygridError
+
+Shape = tuple[int, int, int]
+SHAPES: tuple[Shape, ...] = ((2, 2, 2), (4, 3, 1))
+SCENE = Path(__file__).parents[1] / "scenes" / "kinds.nff"
+SETTINGS = Settings(size=(96, 72), samples=2)
+BUDGET = 2000  # so small that tracing takes many waves, and there are moments to strike at
+ATTEMPTS = 8
+MOMENTS = ("idle", "load", "trace", "collect", "reset")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a case: same, refused or wrong, and why; seconds until faults were told, and then made good."""
+
+    what: str
+    why: str = ""
+    noticed: tuple[float, ...] = ()
+    ready: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Case:
+    """One fault: a name that says all about it, and what does it and tells what came of it."""
+
+    name: str
+    do: Callable[[Bed], Outcome]
+
+
+@dataclass
+class Strike:
+    """Does something once at a moment: as a watcher of a frame, and of the resets that it takes.
+
+    moment  a phase, "idle" (before the frame) or "reset" (while the array recovers from another fault)
+    nth     at which call of the watcher while tracing; if there are fewer, when collecting begins
+    """
+
+    moment: str
+    nth: int
+    act: Callable[[], Any]
+    at: float = 0.0
+    _seen: int = field(default=0)
+
+    def now(self) -> None:
+        """Strike, if it has not been done."""
+        if not self.at:
+            self.act()
+            self.at = time.perf_counter()
+
+    def watch(self, phase: str, progress: Any) -> None:
+        """Told by render_steadily."""
+        self._seen += phase == "trace" and progress is not None
+        if self.moment == phase != "trace" or (
+            self.moment == "trace" and (self._seen >= self.nth or phase == "collect")
+        ):
+            self.now()
+
+
+class Bed:
+    """An array of one shape on which cases are run one after the other. Use as a context manager."""
+
+    def __init__(self, shape: Shape, folder: Path) -> None:
+        self.shape, self.folder = shape, folder
+        self.array = Array(shape, patience=20.0)
+
+    def run(self, case: Case) -> Outcome:
+        """One case, and a right frame of this array after it."""
+        try:
+            outcome = case.do(self)
+            if outcome.what != "wrong" and not right(render(self.array), self.shape):
+                return Outcome("wrong", "the frame after it has other bits")
+        except RaygridError as error:
+            return Outcome("wrong", f"the frame after it failed: {error}")
+        except Exception as error:  # what raygrid does not raise on purpose is a bug, and no refusal
+            return Outcome("wrong", f"{type(error).__name__}: {error}")
+        return outcome
+
+    def strike(self, strike: Strike) -> Outcome:
+        """A frame that is struck."""
+        noticed: list[float] = []
+        ready: list[float] = []
+
+        def on_fault(fault: Fault) -> None:
+            if strike.at and not noticed:
+                told = time.perf_counter() - fault.seconds[1]
+                noticed.append(max(0.0, told - strike.at))
+                ready.append(fault.seconds[1])
+
+        if strike.moment == "idle":
+            strike.now()
+        with struck_reset(self.array, strike):
+            if strike.moment == "reset":
+                os.kill(self.array.pids[-1], 9)
+            outcome = judge(lambda: render(self.array, watch=strike.watch, on_fault=on_fault), self)
+        if outcome.what == "same" and not strike.at:
+            return Outcome("wrong", "nothing was struck")
+        return Outcome(outcome.what, outcome.why, tuple(noticed), tuple(ready))
+
+    def __enter__(self) -> Self:
+        self.array.begin()
+        self.array.wait_ready()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.array.__exit__(kind, error, trace)
+
+
+@contextlib.contextmanager
+def struck_reset(array: Array, strike: Strike) -> Any:
+    """If the moment is that of a reset: strike when the nodes have been told and the first links come up."""
+    if strike.moment != "reset":
+        yield
+        return
+    hang_up = array._hang_up
+
+    def struck() -> None:
+        hang_up()
+        if array.epoch >= 0:
+            strike.now()
+
+    array._hang_up = struck  # type: ignore[method-assign]
+    try:
+        yield
+    finally:
+        del array._hang_up  # type: ignore[method-assign]
+
+
+def render(array: Array, **options: Any) -> Picture:
+    """The frame of the campaign."""
+    return render_steadily(array, job(array.shape), BUDGET, attempts=ATTEMPTS, **options)
+
+
+def judge(work: Callable[[], Picture], bed: Bed) -> Outcome:
+    """Whether a frame is right, or was refused in one line."""
+    try:
+        return Outcome("same") if right(work(), bed.shape) else Outcome("wrong", "other bits")
+    except RaygridError as error:
+        if "\n" in str(error):
+            return Outcome("wrong", f"not one line: {error}")
+        bed.array.reset()
+        return Outcome("refused", str(error))
+
+
+@cache
+def job(shape: Shape) -> Job:
+    """The frame of the campaign, ready for an array."""
+    return make_job(load_scene(SCENE), shape, SETTINGS)
+
+
+@cache
+def truth(shape: Shape) -> np.ndarray:
+    """Its sums, from an array to which nothing happens."""
+    with Array.launch(shape) as array:
+        picture = render(array)
+    assert picture.stats["faults"] == []
+    return picture.sums
+
+
+def right(picture: Picture, shape: Shape) -> bool:
+    """Whether a picture has the bits of an undisturbed run."""
+    return np.array_equal(picture.sums, truth(shape))
+
+
+def text_of(shape: Shape) -> str:
+    """As "2x2x2"."""
+    return "x".join(map(str, shape))
+
+
+class Leftovers:
+    """What has appeared since this was made: child processes, socket directories, descriptors."""
+
+    def __init__(self) -> None:
+        self._before = self._found()
+
+    def find(self) -> list[str]:
+        """A line for each."""
+        gone, alive = psutil.wait_procs(psutil.Process().children(recursive=True), timeout=5.0)
+        del gone
+        lines = [f"process {process.pid}" for process in alive]
+        directories, descriptors = self._found()
+        lines += [f"directory {name}" for name in sorted(directories - self._before[0])]
+        if descriptors > self._before[1]:
+            lines.append(f"{descriptors - self._before[1]} descriptors")
+        return lines
+
+    @staticmethod
+    def _found() -> tuple[set[str], int]:
+        """Socket directories of this process or of nobody, and how many descriptors there are."""
+        directories = set()
+        for base in places.bases():
+            for path in Path(base).glob(f"{places.PREFIX}*/{places.PID_FILE}"):
+                with contextlib.suppress(OSError, ValueError, IndexError):
+                    pid = int(path.read_text().split()[0])
+                    if pid == os.getpid() or not psutil.pid_exists(pid):
+                        directories.add(str(path.parent))
+        return directories, len(os.listdir("/proc/self/fd"))

@@ -1,0 +1,227 @@
+"""The commands for an array that stays: up, submit, wait, jobs, cancel, status, reset, down."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from typing import Any
+
+import click
+
+from raygrid.host.cli import AnyType, Number, Shape
+
+# Options of `render` that a job has, too; the others belong to the array, and so to `up`.
+OF_RENDER = ("size", "samples", "depth", "min_weight", "highlights", "split", "budget", "transfer")
+SETTINGS = OF_RENDER[:6]
+
+Command = Callable[..., Any]
+
+UP_EXAMPLES = """\b
+Examples:
+  raygrid up --array 2x2x2
+  raygrid up --array 4x4x4 --name film
+
+Jobs that were not done when the array of that name was taken down, or crashed, go on.
+"""
+SUBMIT_EXAMPLES = """\b
+Examples:
+  raygrid submit scenes/room.glb -o room.png
+  raygrid submit scenes/room.glb --size 640x480 --frames 1-250 -o out/f_%04d.png --resume
+  raygrid submit scenes/glass.toml --name film --detach
+
+Ctrl-C cancels the job. If this command is killed, or its terminal closed, the job goes on: raygrid jobs shows it.
+"""
+WAIT_EXAMPLES = """\b
+Examples:
+  raygrid wait 3
+"""
+JOBS_EXAMPLES = """\b
+Examples:
+  raygrid jobs
+  raygrid jobs --ended 100 --json
+"""
+CANCEL_EXAMPLES = """\b
+Examples:
+  raygrid cancel 3
+  raygrid cancel --all --name film
+"""
+STATUS_EXAMPLES = """\b
+Examples:
+  raygrid status
+  raygrid status --name film --json
+"""
+RESET_EXAMPLES = """\b
+Examples:
+  raygrid reset
+  raygrid reset --name film
+"""
+DOWN_EXAMPLES = """\b
+Examples:
+  raygrid down
+  raygrid down --finish --name film
+"""
+
+
+class ArrayName(AnyType):
+    """The name of an array that stays."""
+
+    name = "name"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Raises a usage error for what cannot be one."""
+        from raygrid.host.service_files import check_array_name
+        from raygrid.node.errors import ArrayError
+
+        try:
+            check_array_name(str(value))
+        except ArrayError as error:
+            self.fail(str(error), param, ctx)
+        return str(value)
+
+
+class Frames(AnyType):
+    """Frames, `1-250` or `7`: the first and the last."""
+
+    name = "frames"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        """Raises a usage error for anything else."""
+        from raygrid.host.frames import parse_frames
+
+        if isinstance(value, tuple):
+            return value
+        try:
+            return parse_frames(str(value))
+        except ValueError as error:
+            self.fail(f"{str(value)[:40]!r} came, {error}", param, ctx)
+
+
+def _name_option(command: Command) -> Command:
+    text = "Of the array; several can be up at once."
+    option = click.option("--name", type=ArrayName(), default="default", show_default=True, metavar="NAME", help=text)
+    return option(command)
+
+
+def _json_option(command: Command) -> Command:
+    return click.option("--json", "as_json", is_flag=True, help="As JSON.")(command)
+
+
+# fmt: off
+@click.command(epilog=UP_EXAMPLES)
+@click.option("--array", "shape", type=Shape(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
+              help="Processors on each axis.")
+@_name_option
+@click.option("--batch", type=Number(1, 8192), default=4096, show_default=True, metavar="PACKETS",
+              help="Most packets a message; 1 is the machine of 1983.")
+@click.option("--patience", type=Number(0.1, 1e9), default=30.0, show_default=True, metavar="SECONDS",
+              help="Time without any progress after which the array is taken to hang.")
+@_json_option
+@click.option("-q", "--quiet", is_flag=True, help="No talk but errors.")
+def up(**options: Any) -> None:
+    """Launch an array that stays, and return when it is ready."""
+    from raygrid.host.command_up import Launch, run_up
+
+    run_up(Launch(**options))
+
+
+@click.command(epilog=SUBMIT_EXAMPLES)
+@click.argument("scene")
+@_name_option
+@click.option("--frames", type=Frames(), metavar="A-B", help="Frames to render.  [default: one, without a number]")
+@click.option("-o", "--output", "outputs", multiple=True, type=click.Path(), metavar="FILE",
+              help="As for render; with --frames, %04d stands for the number of the frame. May be repeated.  "
+                   "[default: the scene's name with .png, or with _%04d.png, here]")
+@click.option("--stats", type=click.Path(), metavar="FILE", help="As for render; %04d as for -o.")
+@click.option("--resume", is_flag=True, help="Skip frames whose files are there, whole, and of just this job.")
+@click.option("--detach", is_flag=True, help="Print the number of the job and return at once.")
+@click.option("--json", "as_json", is_flag=True, help="Print a line of JSON for each event.")
+@click.option("-q", "--quiet", is_flag=True, help="No talk but errors.")
+def submit(scene: str, **options: Any) -> None:
+    """Render frames of a scene on an array that stays, and follow them.
+
+    SCENE is a file as for render. The service reads it, and writes the outputs, by their absolute paths.
+    """
+    from raygrid.host.command_submit import Order, run_submit
+
+    settings = {name: options.pop(name) for name in SETTINGS}
+    run_submit(Order(scene, settings=settings, client=f"session {os.getsid(0)}", **options))
+
+
+@click.command(epilog=WAIT_EXAMPLES)
+@click.argument("job", type=Number(1, 1 << 53))
+@_name_option
+@click.option("--json", "as_json", is_flag=True, help="Print a line of JSON for each event.")
+@click.option("-q", "--quiet", is_flag=True, help="No talk but errors.")
+def wait(job: int, **options: Any) -> None:
+    """Follow a job until it has ended. Ctrl-C leaves it alone."""
+    from raygrid.host.command_submit import run_wait
+
+    run_wait(job, **options)
+
+
+@click.command(epilog=JOBS_EXAMPLES)
+@_name_option
+@click.option("--ended", type=Number(0, 10_000), default=10, show_default=True, metavar="N",
+              help="How many of the jobs that have ended.")
+@_json_option
+def jobs(**options: Any) -> None:
+    """List the jobs of an array: the last that have ended, and all that have not."""
+    from raygrid.host.command_array import run_jobs
+
+    run_jobs(**options)
+
+
+@click.command(epilog=CANCEL_EXAMPLES)
+@click.argument("numbers", metavar="JOB...", nargs=-1, type=Number(1, 1 << 53))
+@click.option("--all", "everything", is_flag=True, help="All jobs.")
+@_name_option
+def cancel(numbers: tuple[int, ...], everything: bool, name: str) -> None:
+    """Cancel jobs. Frames that are done stay; a frame that is being traced is given up."""
+    from raygrid.host.command_array import run_cancel
+
+    if bool(numbers) == everything:
+        raise click.UsageError("wanted either numbers of jobs or --all", click.get_current_context())
+    run_cancel(name, None if everything else list(numbers))
+
+
+@click.command(epilog=STATUS_EXAMPLES)
+@_name_option
+@_json_option
+def status(**options: Any) -> None:
+    """Say how an array is: its nodes, load, queue, frames and faults."""
+    from raygrid.host.command_array import run_status
+
+    run_status(**options)
+
+
+@click.command(epilog=RESET_EXAMPLES)
+@_name_option
+def reset(name: str) -> None:
+    """Empty an array, whatever its state; the running frame is begun again."""
+    from raygrid.host.command_array import run_reset
+
+    run_reset(name)
+
+
+@click.command(epilog=DOWN_EXAMPLES)
+@_name_option
+@click.option("--finish", is_flag=True, help="When all jobs have ended; no more are taken meanwhile.")
+@click.option("--cancel", is_flag=True, help="Cancel all jobs. Without it they go on when the array is up again.")
+@click.option("--kill", is_flag=True, help="Kill a service that does not answer.")
+def down(**options: Any) -> None:
+    """End an array and wait until no process of it is left."""
+    from raygrid.host.command_array import run_down
+
+    if options["kill"] and (options["finish"] or options["cancel"]):
+        raise click.UsageError("--kill came with --finish or --cancel, wanted it alone", click.get_current_context())
+    run_down(**options)
+# fmt: on
+
+
+def add_commands(group: click.Group, render: click.Command, debug: Callable[[Command], Command]) -> None:
+    """Add the commands to the command line. `render` has the options that a job has, too."""
+    shared = [option for option in render.params if option.name in OF_RENDER]
+    submit.params[2:2] = shared
+    for command in (up, submit, wait, jobs, cancel, status, reset, down):
+        debug(command)
+        group.add_command(command)

@@ -1,0 +1,206 @@
+"""The commands `raygrid submit` and `raygrid wait`: jobs, and the following of them."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from raygrid.host.client import Connection
+from raygrid.host.frames import check_pattern, path_of
+from raygrid.host.load import check_name
+from raygrid.host.outputs import check_different, check_path, check_picture_path, write_result
+from raygrid.host.progress import PHASES, Talk
+from raygrid.host.service_files import find
+from raygrid.node.errors import ArrayError, SceneError
+
+WORDS = PHASES | {"read": "reading", "write": "writing"}
+CANCEL_SECONDS = 5.0
+
+Facts = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Order:
+    """What the command line asks for; `settings` of `raygrid.host.job.Settings`."""
+
+    scene: str
+    name: str
+    frames: tuple[int, int] | None
+    outputs: tuple[str, ...]
+    stats: str | None
+    transfer: str
+    budget: int
+    resume: bool
+    detach: bool
+    as_json: bool
+    quiet: bool
+    client: str
+    settings: Facts
+
+
+def run_submit(order: Order) -> None:
+    """Queue a job and follow it. Raises RaygridError."""
+    order_outputs = order.outputs or _default_outputs(order)
+    _check(order, order_outputs)
+    connection = Connection(find(order.name))
+    with contextlib.closing(connection):
+        answer = connection.ask(_request(order, order_outputs))
+        job = answer["job"]
+        if order.detach:
+            write_result(json.dumps({"job": job, "frames": answer["frames"]}) if order.as_json else str(job))
+            return
+        try:
+            _follow(connection, job, answer["frames"], order.as_json, order.quiet)
+        except BaseException as error:
+            if _is_interrupt(error):
+                _cancel(connection, job)
+            raise
+
+
+def run_wait(job: int, name: str, as_json: bool, quiet: bool) -> None:
+    """Follow a job. Raises RaygridError, also if the job has failed or was cancelled."""
+    connection = Connection(find(name))
+    with contextlib.closing(connection):
+        facts = connection.ask({"do": "follow", "job": job})
+        if facts["state"] in ("done", "failed", "cancelled"):
+            if as_json:
+                write_result(json.dumps({**facts, "is": "event", "what": "end"}))
+            _judge(job, facts)
+            return
+        _follow(connection, job, facts["frames"], as_json, quiet)
+
+
+def _default_outputs(order: Order) -> tuple[str, ...]:
+    return (Path(order.scene).stem + (".png" if order.frames is None else "_%04d.png"),)
+
+
+def _check(order: Order, outputs: tuple[str, ...]) -> None:
+    """What can be seen to be wrong before the array is asked. Raises SceneError, OutputError."""
+    from raygrid.host.load import READERS
+
+    check_name(order.scene)
+    if Path(order.scene).suffix.lower() not in READERS:
+        raise SceneError(f"{order.scene}: the suffix is unknown, wanted one of: {' '.join(READERS)}")
+    if not os.path.isfile(order.scene):
+        raise SceneError(f"{order.scene}: there is no such file")
+    written = [*outputs] + ([] if order.stats is None else [order.stats])
+    for pattern in written:
+        check_pattern(pattern, order.frames)
+    first = None if order.frames is None else order.frames[0]
+    for pattern in outputs:
+        check_picture_path(path_of(pattern, first))
+    if order.stats is not None:
+        check_path(path_of(order.stats, first))
+    check_different(order.scene, [path_of(pattern, first) for pattern in written])
+
+
+def _request(order: Order, outputs: tuple[str, ...]) -> Facts:
+    settings = {name: value for name, value in order.settings.items() if value is not None}
+    if "size" in settings:
+        settings["size"] = list(settings["size"])
+    return {
+        "do": "submit",
+        "scene": os.path.abspath(order.scene),
+        "settings": settings,
+        "frames": None if order.frames is None else list(order.frames),
+        "outputs": [os.path.abspath(path) for path in outputs],
+        "stats": None if order.stats is None else os.path.abspath(order.stats),
+        "transfer": order.transfer,
+        "budget": order.budget,
+        "resume": order.resume,
+        "client": order.client,
+        "follow": not order.detach,
+    }
+
+
+def _follow(connection: Connection, job: int, frames: int, as_json: bool, quiet: bool) -> None:
+    """Tell of a job until it has ended. Raises ArrayError unless it is done."""
+    with Talk(quiet or as_json) as talk:
+        teller = _Teller(talk, job, frames)
+        while True:
+            event = connection.next_event(job)
+            if event["job"] != job:
+                continue
+            if as_json:
+                write_result(json.dumps({key: value for key, value in event.items() if key != "is"}))
+            else:
+                teller.tell(event)
+            if event["what"] == "end":
+                break
+    if not as_json:
+        teller.sum_up(event, quiet)
+    _judge(job, event)
+
+
+class _Teller:
+    """Events as a person reads them: files to standard output, the rest as a live line."""
+
+    def __init__(self, talk: Talk, job: int, frames: int) -> None:
+        self._talk, self._job, self._frames = talk, job, frames
+        self._phase: str | None = None
+        talk.phase(f"job {job} is queued")
+
+    def tell(self, event: Facts) -> None:
+        """Tell of one event."""
+        what = event["what"]
+        if what == "progress":
+            self._progress(event)
+        elif what == "note":
+            self._talk.remark(event["text"])
+        elif what == "fault":
+            self._talk.remark(f"the array failed and was repaired: {event['text']}")
+        elif what == "frame" and not event["skipped"]:
+            for file in event["files"]:
+                write_result(os.path.relpath(file) if _is_below(file) else file)
+
+    def _progress(self, event: Facts) -> None:
+        words = WORDS.get(event["phase"], str(event["phase"]))
+        if self._frames == 1:
+            if words != self._phase:
+                self._phase = words
+                self._talk.phase(words, 1 if event["phase"] == "trace" else None)
+            if event["phase"] == "trace":
+                self._talk.part(event["part"], f"{event['in_flight']:,} packets in flight")
+            return
+        if self._phase is None:
+            self._phase = ""
+            self._talk.phase(f"job {self._job}", self._frames)
+        self._talk.part(
+            event["done"] + event["part"], f"frame {event['frame']}: {words}, {event['done']} of {self._frames} done"
+        )
+
+    def sum_up(self, event: Facts, quiet: bool) -> None:
+        """What is said of files that were there."""
+        if not quiet and event.get("skipped"):
+            self._talk.remark(f"{event['skipped']} of {event['frames']} frames were there already")
+
+
+def _is_below(file: str) -> bool:
+    return file.startswith(os.path.join(os.getcwd(), ""))
+
+
+def _judge(job: int, end: Facts) -> None:
+    """Raise ArrayError unless the job is done."""
+    if end["state"] == "failed":
+        raise ArrayError(f"job {job} failed: {end['error']}")
+    if end["state"] == "cancelled":
+        raise ArrayError(f"job {job} was cancelled")
+    if end["state"] != "done":
+        raise ArrayError(f"job {job} is not done: {end['error']}")
+
+
+def _is_interrupt(error: BaseException) -> bool:
+    """Whether it was Ctrl-C; other signals leave the job to go on."""
+    import signal
+
+    return isinstance(error, KeyboardInterrupt) or getattr(error, "number", None) == signal.SIGINT
+
+
+def _cancel(connection: Connection, job: int) -> None:
+    """Cancel over a new connection: the old one may have been left within a message."""
+    with contextlib.suppress(Exception), contextlib.closing(Connection(connection.record, CANCEL_SECONDS)) as fresh:
+        fresh.ask({"do": "cancel", "jobs": [job]})

@@ -1,0 +1,62 @@
+"""The command `raygrid trace`: the ray tree of one pixel."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import dataclass
+from typing import Any
+
+from raygrid.host.job import Settings, make_job
+from raygrid.host.load import load_scene
+from raygrid.host.outputs import write_result
+from raygrid.host.trace import headline, plain_lines, ray_line, sample_line, trace_pixel
+
+
+@dataclass(frozen=True)
+class Request:
+    """What the command line asks for.
+
+    pixel     column and row, 0,0 top left
+    sample    the only sample to show, or None for all
+    settings  of `raygrid.host.job.Settings`
+    """
+
+    scene: str
+    shape: tuple[int, int, int]
+    pixel: tuple[int, int]
+    sample: int | None
+    as_json: bool
+    settings: dict[str, Any]
+
+
+def run_trace(request: Request) -> None:
+    """Load the scene into an array in memory, trace the pixel, print its tree. Raises RaygridError."""
+    scene = load_scene(request.scene)
+    job = make_job(scene, request.shape, Settings(**request.settings))
+    told = trace_pixel(job, *request.pixel, request.sample)
+    if request.as_json:
+        write_result(json.dumps(told, indent=1))
+    elif sys.stdout.isatty():
+        _print_tree(told)
+    else:
+        write_result("\n".join(plain_lines(told)))
+
+
+def _print_tree(told: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.text import Text
+    from rich.tree import Tree
+
+    tree = Tree(Text(headline(told), "bold"))
+    for sample in told["trees"]:
+        branch = tree.add(Text(sample_line(sample)))
+        waiting = [(branch, sample["ray"])] if sample["ray"] else []
+        while waiting:
+            above, ray = waiting.pop()
+            here = above.add(Text(ray_line(ray), STYLES[ray["kind"]] if ray["returned"] or ray["children"] else "dim"))
+            waiting += [(here, child) for child in reversed(ray["children"])]
+    Console(highlight=False).print(tree)
+
+
+STYLES = {"primary": "bold", "reflected": "cyan", "refracted": "green", "shadow": "yellow"}

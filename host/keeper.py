@@ -1,0 +1,171 @@
+"""An array that is kept: it remembers what it holds, and is repaired when it fails. For use by one thread."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from raygrid.emulator.array import Array
+from raygrid.node.errors import ArrayError, ProtocolError, RaygridError, TooLarge
+
+if TYPE_CHECKING:
+    from raygrid.emulator.driver import Progress
+    from raygrid.emulator.samples import Sample
+    from raygrid.host.picture import Picture
+    from raygrid.host.render import Watch
+    from raygrid.host.scene_store import Ready
+    from raygrid.host.steady import Fault
+
+Shape = tuple[int, int, int]
+OnFault = Callable[[str], None]
+
+
+class NoArray(ArrayError):
+    """There is no array, and none can be launched now."""
+
+
+class Keeper:
+    """Keeps one array.
+
+    shape     processors on each axis
+    options   of `Array`
+    floods    how often a scene was loaded
+    on_fault  told of each fault that was repaired
+    on_wait   called often while a frame is rendered; raises to give the frame up
+    rate      of the array's probes, in samples a second of each node; any thread may set it
+    on_sample told of each sample; to be set before the rate
+    """
+
+    def __init__(self, shape: Shape, on_fault: OnFault, on_wait: Callable[[], None], **options: Any) -> None:
+        self.shape, self.floods = shape, 0
+        self._on_fault, self._on_wait = on_fault, on_wait
+        self._options = options
+        self._array: Array | None = None
+        self._holds = ""  # digest of what the array holds
+        self.rate = self._rate = 0.0  # wanted, and told to the array
+        self.on_sample: Callable[[Sample], object] | None = None
+        self._spoilt = False  # and must be reset before the next frame
+
+    def launch(self) -> None:
+        """Launch the array. Raises NoArray."""
+        self._holds, self._rate = "", 0.0
+        with self._launching():
+            self._array = Array(self.shape, **self._options)
+            self._array.begin()
+            # What a frame needs takes a second to import; the nursery warms up beside it.
+            import raygrid.host.scene_store
+            import raygrid.host.steady  # noqa: F401
+
+            self._array.wait_ready()
+
+    @contextlib.contextmanager
+    def _launching(self) -> Any:
+        """What goes wrong in this block leaves no array. Raises NoArray."""
+        try:
+            yield
+        except BaseException as error:
+            self.close()
+            if isinstance(error, RaygridError | OSError | MemoryError):
+                raise NoArray(f"the array cannot be launched: {error or 'out of memory'}") from error
+            raise
+
+    @property
+    def there(self) -> bool:
+        """Whether there is an array."""
+        return self._array is not None
+
+    @property
+    def pids(self) -> list[int]:
+        """Process ids of the nodes, x fastest; empty while there is no array. May be asked by any thread."""
+        array = self._array
+        return [] if array is None else list(array.pids)
+
+    @property
+    def epoch(self) -> int:
+        """How often the array was reset since it was launched. May be asked by any thread."""
+        array = self._array
+        return -1 if array is None else array.epoch
+
+    def check(self) -> None:
+        """Repair the array if it has failed while it had nothing to do, or is not there. Raises NoArray."""
+        if self._array is None:
+            self.launch()
+            return
+        try:
+            self._set_rate()
+            self._array.check()
+        except (ArrayError, ProtocolError) as error:
+            begun = time.perf_counter()
+            self.reset()
+            self._on_fault(f"{error}; it was idle, and repaired in {time.perf_counter() - begun:.2f} s")
+
+    def reset(self) -> None:
+        """Empty the array, whatever its state. Raises NoArray if that cannot be."""
+        self._holds, self._spoilt = "", False
+        if self._array is None:
+            self.launch()
+            return
+        with self._launching():
+            self._array.reset()
+
+    def render(self, ready: Ready, budget: int, watch: Watch) -> Picture:
+        """Render a frame, again if the array fails meanwhile. Raises RaygridError, and what `on_wait` raises."""
+        from raygrid.host.steady import render_steadily
+
+        if self._spoilt:  # a frame before was given up, or failed for good
+            self.reset()
+        elif self._array is None:
+            self.launch()
+        assert self._array is not None
+        epoch = self._array.epoch
+        self._array.on_wait = self._wait
+        try:
+            loaded = self._holds == ready.loaded
+            watching = self._noting(ready, loaded, watch)
+            return render_steadily(self._array, ready.job, budget, watching, loaded, on_fault=self._tell)
+        except BaseException as error:
+            # The driver drops what is left of a frame that was given up; only a reset that was given up must be repeated.
+            failed = isinstance(error, ArrayError | ProtocolError) and not isinstance(error, TooLarge)
+            self._spoilt = failed or self._array.epoch != epoch
+            raise
+        finally:
+            if self._array is not None:
+                self._array.on_wait = None
+
+    def _wait(self) -> None:
+        self._set_rate()
+        self._on_wait()
+
+    def _set_rate(self) -> None:
+        if self._array is not None and self._rate != self.rate:
+            self._rate = self.rate
+            self._array.probe(self._rate, self.on_sample)
+
+    def _tell(self, fault: Fault) -> None:
+        self._on_fault(f"{fault.what}; repaired in {fault.seconds[1]:.2f} s, {fault.restarts} nodes forked anew")
+
+    def _noting(self, ready: Ready, loaded: bool, watch: Watch) -> Watch:
+        """A watch that notes when the surfaces are all there."""
+        if not loaded:
+            self._holds = ""
+
+        def noting(phase: str, progress: Progress | None) -> None:
+            if phase == "load":
+                self.floods += 1
+                self._holds = ""
+            elif phase == "trace" and progress is None:
+                self._holds = ready.loaded
+            watch(phase, progress)
+
+        return noting
+
+    def close(self) -> None:
+        """End the array. May be called twice."""
+        array, self._array = self._array, None
+        self._holds, self._spoilt = "", False
+        if array is not None:
+            array.on_wait = None
+            with contextlib.suppress(RaygridError):
+                array.close()

@@ -1,0 +1,192 @@
+"""The door of a service: who may come in, and the bytes that go to and fro. What is asked is answered elsewhere.
+
+A client must be of the same user (the kernel says so), and must present the secret of the token file in its first
+message, within GREETING_SECONDS. Others are refused and counted.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hmac
+import os
+import secrets
+import socket
+import struct
+import sys
+import traceback
+from collections import Counter
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+from raygrid.host.requests import Request, read_request
+from raygrid.host.service_files import SOCKET, TOKEN, write_private
+from raygrid.host.wire import LONGEST, LONGEST_GREETING, VERSION, Message, Splitter, pack
+from raygrid.node.errors import ProtocolError, RaygridError
+
+GREETING_SECONDS = 5.0
+MOST_CLIENTS = 200
+PIECE = 1 << 16  # bytes read at a time
+MOST_UNSENT = LONGEST + (1 << 20)  # bytes that may wait for a client that does not read; then it is cut off
+CROWDED = 1 << 16  # bytes waiting for a client above which it is not told of progress
+CREDENTIALS = struct.Struct("3i")
+
+REFUSALS = ("user", "token", "greeting", "request", "crowd", "slow")
+
+
+class Client:
+    """A client that was let in.
+
+    follows  jobs that it is told of
+    rate     how often a second it wants to be told how each node stands; 0: not at all
+    """
+
+    def __init__(self, writer: asyncio.StreamWriter, on_slow: Callable[[], None]) -> None:
+        self._writer, self._on_slow = writer, on_slow
+        self.follows: set[int] = set()
+        self.rate = 0.0
+
+    def send(self, message: Message, droppable: bool = False) -> None:
+        """Send without waiting; `droppable` messages only if the client keeps up."""
+        transport = self._writer.transport
+        unsent = transport.get_write_buffer_size()
+        if self._writer.is_closing() or (droppable and unsent > CROWDED):
+            return
+        self._writer.write(pack(message))
+        if transport.get_write_buffer_size() > MOST_UNSENT:
+            self._on_slow()
+            transport.abort()
+
+    def close(self) -> None:
+        """Send what waits, and close."""
+        self._writer.close()
+
+
+Answer = Callable[[Client, Request], Awaitable[Message]]
+
+
+class Door:
+    """Listens in a private directory.
+
+    refused  how often, by why: another user, a wrong token, no proper greeting, a request that is none, too many
+             clients, a client that does not read
+    clients  those that are in
+    """
+
+    def __init__(self, directory: str, answer: Answer) -> None:
+        self._path = str(Path(directory) / SOCKET)
+        self._token = secrets.token_hex(32)
+        self._directory, self._answer = Path(directory), answer
+        self.refused: Counter[str] = Counter(dict.fromkeys(REFUSALS, 0))
+        self.clients: set[Client] = set()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._server: asyncio.Server | None = None
+
+    async def open(self) -> None:
+        """Let clients come. Raises OSError."""
+        write_private(self._directory / TOKEN, self._token)
+        listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
+        try:
+            listener.bind(self._path)
+            os.chmod(self._path, 0o600)
+            self._server = await asyncio.start_unix_server(self._come, sock=listener, backlog=64)
+        except BaseException:
+            listener.close()
+            raise
+
+    async def close(self) -> None:
+        """Let nobody in any more, send what waits for those inside, and let them go."""
+        if self._server is not None:
+            self._server.close()
+        for client in list(self.clients):
+            client.close()
+        if self._tasks:
+            await asyncio.wait(self._tasks, timeout=1.0)
+        for task in list(self._tasks):
+            task.cancel()
+        if self._tasks:
+            await asyncio.wait(self._tasks, timeout=1.0)
+
+    async def _come(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        self._tasks.add(task)
+        client = Client(writer, lambda: self.refused.update(slow=1))
+        try:
+            await self._meet(client, reader, writer)
+        except (OSError, asyncio.CancelledError):
+            pass
+        finally:
+            self.clients.discard(client)
+            self._tasks.discard(task)
+            writer.close()
+            with contextlib.suppress(OSError, asyncio.CancelledError):
+                await writer.wait_closed()
+
+    async def _meet(self, client: Client, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        stranger = self._strange(writer)
+        if stranger:
+            self.refused[stranger] += 1
+            return
+        splitter = Splitter(LONGEST_GREETING)
+        try:
+            async with asyncio.timeout(GREETING_SECONDS):
+                greeting = await _next(splitter, reader)
+        except (TimeoutError, ProtocolError):
+            self._refuse(client, "greeting", "it did not greet as a client does")
+            return
+        if greeting is None:
+            self.refused["greeting"] += 1
+            return
+        if not self._knows(greeting):
+            self._refuse(client, "token", "it did not present the secret of this array")
+            return
+        splitter.longest = LONGEST
+        self.clients.add(client)
+        client.send({"is": "welcome", "version": VERSION})
+        await self._serve(client, splitter, reader)
+
+    def _strange(self, writer: asyncio.StreamWriter) -> str:
+        """Why this peer is not even listened to; "" if it is."""
+        peer = writer.get_extra_info("socket")
+        found = peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size)
+        _, user, _ = CREDENTIALS.unpack(found)
+        if user != os.geteuid():
+            return "user"
+        return "crowd" if len(self._tasks) > MOST_CLIENTS else ""
+
+    def _knows(self, greeting: Message) -> bool:
+        token = greeting.get("token")
+        known = isinstance(token, str) and hmac.compare_digest(token.encode(), self._token.encode())
+        return known and greeting.get("do") == "hello" and greeting.get("version") == VERSION
+
+    def _refuse(self, client: Client, why: str, told: str) -> None:
+        self.refused[why] += 1
+        client.send({"is": "error", "error": f"the array refused this client: {told}"})
+
+    async def _serve(self, client: Client, splitter: Splitter, reader: asyncio.StreamReader) -> None:
+        """Answer requests until the client is gone or sends what is none."""
+        try:
+            while (message := await _next(splitter, reader)) is not None:
+                client.send(await self._reply(client, read_request(message)))
+        except ProtocolError as error:
+            self._refuse(client, "request", str(error))
+
+    async def _reply(self, client: Client, request: Request) -> Message:
+        try:
+            return await self._answer(client, request)
+        except RaygridError as error:
+            return {"is": "error", "error": str(error)}
+        except Exception as error:
+            traceback.print_exception(error, file=sys.stderr)
+            return {"is": "error", "error": f"a bug: {type(error).__name__}: {error} (the array's log has more)"}
+
+
+async def _next(splitter: Splitter, reader: asyncio.StreamReader) -> Message | None:
+    """The next message; None when the peer has closed. Raises ProtocolError."""
+    while (message := splitter.next()) is None:
+        piece = await reader.read(PIECE)
+        if not piece:
+            return None
+        splitter.feed(piece)
+    return message

@@ -1,0 +1,212 @@
+"""Where an array that stays keeps its files, found by its name.
+
+$XDG_STATE_HOME/raygrid/NAME/       (~/.local/state/raygrid/NAME/), mode 0700; stays when the array ends
+    journal.sqlite                  jobs and frames (`journal`)
+    lock                            locked by the service while it runs
+    service.json                    where the service is; there while it runs
+    log                             what the service had to say
+a private socket directory          `raygrid.emulator.places`: 0700, a fresh name, removed at the end
+    service                         the socket
+    token                           the secret that a client must present, mode 0600
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import re
+import stat
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from raygrid.emulator.places import process_mark
+from raygrid.node.errors import ArrayError
+
+DEFAULT_NAME = "default"
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}")
+LOCK, RECORD, JOURNAL, LOG = "lock", "service.json", "journal.sqlite", "log"
+SOCKET, TOKEN = "service", "token"
+LONGEST_FILE = 1 << 16  # bytes of a record or a token
+
+
+@dataclass(frozen=True)
+class Record:
+    """Where a service is.
+
+    name        of the array
+    pid, mark   of its process; `mark` tells it from another one with the same number
+    directory   of its socket and token
+    shape       processors on each axis
+    started     seconds since 1970
+    """
+
+    name: str
+    pid: int
+    mark: str
+    directory: str
+    shape: tuple[int, int, int]
+    started: float
+
+    @property
+    def alive(self) -> bool:
+        """Whether that process is there."""
+        return process_mark(self.pid) == self.mark
+
+
+def check_array_name(name: str) -> None:
+    """Raise ArrayError for what cannot be the name of an array."""
+    if not NAME.fullmatch(name):
+        shown = repr(name if len(name) <= 40 else name[:37] + "...")
+        raise ArrayError(
+            f"the name of an array came as {shown}, wanted 1 to 32 letters, digits, dots, dashes or underscores, "
+            "the first a letter or digit"
+        )
+
+
+def state_home() -> Path:
+    """The directory that holds the state directories of all arrays of this user. Raises ArrayError if there is none."""
+    given = os.environ.get("XDG_STATE_HOME", "")
+    if os.path.isabs(given):
+        return Path(given) / "raygrid"
+    home = os.path.expanduser("~")
+    if not os.path.isabs(home):
+        raise ArrayError("there is no home directory for the journal of an array: set XDG_STATE_HOME")
+    return Path(home) / ".local" / "state" / "raygrid"
+
+
+def state_directory(name: str) -> Path:
+    """The state directory of an array, whether it is there or not. Raises ArrayError for a bad name."""
+    check_array_name(name)
+    return state_home() / name
+
+
+def make_state_directory(name: str) -> Path:
+    """Make the state directory of an array unless it is there. Raises ArrayError if it cannot be made, or is not ours."""
+    directory = state_directory(name)
+    for made in (directory.parent, directory):
+        try:
+            made.mkdir(mode=0o700, parents=True, exist_ok=True)
+        except OSError as error:
+            raise ArrayError(
+                f"{made}: the directory for the journal cannot be made ({error.strerror or error}): set XDG_STATE_HOME"
+            ) from None
+        check_private(made, directory=True)
+    return directory
+
+
+def check_private(path: Path | str, directory: bool) -> None:
+    """Raise ArrayError unless it is a directory, or else a file, of ours that nobody else may write to; no link."""
+    try:
+        status = os.lstat(path)
+    except OSError as error:
+        raise ArrayError(f"{path}: {error.strerror or error}") from None
+    wanted = stat.S_ISDIR if directory else stat.S_ISREG
+    if not wanted(status.st_mode):
+        raise ArrayError(f"{path}: a {_kind(status.st_mode)} is there, wanted a {'directory' if directory else 'file'}")
+    if status.st_uid != os.geteuid():
+        raise ArrayError(f"{path}: it belongs to user {status.st_uid}, wanted one of our own ({os.geteuid()})")
+    if status.st_mode & 0o022:
+        raise ArrayError(f"{path}: others may write to it (mode {status.st_mode & 0o777:o}), wanted 700 or 600")
+
+
+def _kind(mode: int) -> str:
+    return "link" if stat.S_ISLNK(mode) else "directory" if stat.S_ISDIR(mode) else "file of another kind"
+
+
+def take_lock(directory: Path) -> int:
+    """Lock a state directory for this process; the descriptor holds it. Raises ArrayError if another one has it."""
+    try:
+        descriptor = os.open(directory / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+    except OSError as error:
+        raise ArrayError(f"{directory / LOCK}: the lock cannot be made ({error.strerror or error})") from None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(descriptor)
+        record = read_record(directory)
+        pid = f" (process {record.pid})" if record is not None and record.alive else ""
+        raise ArrayError(f"the array {directory.name!r} runs already{pid}: raygrid down ends it") from None
+    return descriptor
+
+
+def write_private(path: Path, text: str) -> None:
+    """Write a file with mode 0600, whole or not at all. Raises OSError."""
+    part = path.with_name(f".{path.name}.part")
+    with contextlib.suppress(FileNotFoundError):
+        part.unlink()
+    descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
+    try:
+        with open(descriptor, "w", encoding="utf-8") as file:
+            file.write(text)
+        os.replace(part, path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            part.unlink()
+        raise
+
+
+def read_private(path: Path) -> str:
+    """A small file that only we may write. Raises ArrayError if it is not there or not as it should be."""
+    check_private(path, directory=False)
+    try:
+        with open(path, encoding="utf-8") as file:
+            return file.read(LONGEST_FILE)
+    except (OSError, UnicodeDecodeError) as error:
+        raise ArrayError(f"{path}: the file cannot be read ({error})") from None
+
+
+def write_record(directory: Path, record: Record) -> None:
+    """Say where the service is. Raises OSError."""
+    write_private(directory / RECORD, json.dumps(record.__dict__) + "\n")
+
+
+def read_record(directory: Path) -> Record | None:
+    """Where the service is, or was when it was last heard of; None if there is no word of it.
+
+    Raises ArrayError if the file is not ours.
+    """
+    if not os.path.lexists(directory / RECORD):
+        return None
+    try:
+        facts: dict[str, Any] = json.loads(read_private(directory / RECORD))
+        nx, ny, nz = map(int, facts["shape"])
+        return Record(
+            str(facts["name"]),
+            int(facts["pid"]),
+            str(facts["mark"]),
+            str(facts["directory"]),
+            (nx, ny, nz),
+            float(facts["started"]),
+        )
+    except (ValueError, KeyError, TypeError):
+        return None  # torn by a full disk: as good as none
+
+
+def find(name: str) -> Record:
+    """Where the running service of that name is. Raises ArrayError if there is none, naming those that run."""
+    directory = state_directory(name)
+    record = read_record(directory) if directory.is_dir() else None
+    if record is not None and record.alive:
+        return record
+    others = [other.name for other in running() if other.name != name]
+    which = f"; those that run: {', '.join(others)}" if others else ""
+    if record is not None:
+        raise ArrayError(
+            f"the array {name!r} has ended without being told to: raygrid up --name {name} brings its jobs back{which}"
+        )
+    raise ArrayError(f"no array named {name!r} runs: raygrid up --name {name} launches one{which}")
+
+
+def running() -> list[Record]:
+    """All services of this user that run, by name."""
+    found = []
+    with contextlib.suppress(OSError, ArrayError):
+        for directory in sorted(state_home().iterdir()):
+            with contextlib.suppress(ArrayError):
+                record = read_record(directory) if NAME.fullmatch(directory.name) else None
+                if record is not None and record.alive:
+                    found.append(record)
+    return found

@@ -1,0 +1,296 @@
+"""The thread of a service that drives the array: one frame after another, and what became of each.
+
+The service hands it tasks and interrupts it; it answers by events, each handed to `post` in this thread.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from raygrid.host.frames import path_of
+from raygrid.host.keeper import Keeper, NoArray
+from raygrid.node.errors import RaygridError
+
+if TYPE_CHECKING:
+    from raygrid.emulator.driver import Progress
+    from raygrid.host.journal import Journal
+    from raygrid.host.picture import Picture
+    from raygrid.host.requests import Submit
+    from raygrid.host.scene_store import Ready, SceneStore
+
+LAUNCH_SECONDS = 5.0  # between two attempts to launch an array that could not be
+LOOK_SECONDS = 0.25  # between two looks at an array that has nothing to do
+TELL_SECONDS = 0.1  # between two reports of progress
+
+
+class Interrupted(Exception):
+    """The frame was given up because the service asked for it."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A frame to be rendered. `frame` is None if the job names no frames."""
+
+    serial: int
+    job: int
+    frame: int | None
+    request: Submit
+
+
+class Event(NamedTuple):
+    """What happened: its kind, the task that it is about, and what there is to say.
+
+    warming   done, total, what        compiling or loading kernels
+    ready     pids                     the array can render
+    broken    why                      it cannot, and could not be launched again
+    begun                              a task was begun
+    note      text                     a remark on its scene
+    moved     phase, part, in_flight   how far it is; `part` of its rays from 0 to 1
+    done      files, skipped, seconds  its files are there, path -> digest
+    failed    why                      it cannot be done
+    interrupted                        it was given up, as asked
+    fault     what                     the array failed and was repaired
+    reset                              it was reset, as asked
+    sample    sample                   how a node stands
+    ended                              the thread has ended, and the array with it
+    """
+
+    kind: str
+    task: Task | None = None
+    facts: dict[str, Any] = {}  # noqa: RUF012  (never changed)
+
+
+@dataclass
+class Options:
+    """Of the array: processors on each axis, most packets a message, seconds until it is taken to hang."""
+
+    shape: tuple[int, int, int]
+    batch: int = 4096
+    patience: float = 30.0
+    journal: Path = field(default_factory=Path)
+
+
+class Worker(threading.Thread):
+    """Drives the array.
+
+    keeper    of the array
+    """
+
+    def __init__(self, options: Options, post: Callable[[Event], None]) -> None:
+        super().__init__(name="array", daemon=True)
+        self._options, self._post = options, post
+        self._inbox: queue.SimpleQueue[Task | str] = queue.SimpleQueue()
+        self._unwanted = -1  # serial of the task that is to be given up
+        self._ending = False
+        self._task: Task | None = None
+        self._told = 0.0
+        self._noted: set[tuple[int, str]] = set()
+        self.keeper = Keeper(
+            options.shape,
+            lambda what: post(Event("fault", self._task, {"what": what})),
+            self._look,
+            batch=options.batch,
+            patience=options.patience,
+            on_warming=lambda *now: post(
+                Event("warming", None, dict(zip(("done", "total", "what"), now, strict=True)))
+            ),
+        )
+        self.keeper.on_sample = lambda sample: post(Event("sample", None, {"sample": sample}))
+        self._store: SceneStore | None = None
+        self._journal: Journal | None = None
+
+    # --- what the service says; callable from its thread ----------------------------------------------
+
+    def give(self, task: Task) -> None:
+        """Render this next."""
+        self._inbox.put(task)
+
+    def interrupt(self, task: Task) -> None:
+        """Give this task up, if it is still under way."""
+        self._unwanted = task.serial
+
+    def ask_reset(self) -> None:
+        """Reset the array, after the task under way; interrupt that first if it is not to be waited for."""
+        self._inbox.put("reset")
+
+    def ask_end(self) -> None:
+        """Give up what is under way, end the array and the thread."""
+        self._ending = True
+        self._inbox.put("end")
+
+    # --- the thread -----------------------------------------------------------------------------------
+
+    def run(self) -> None:
+        """Launch, serve, end."""
+        try:
+            if self._launch():
+                self._serve()
+        finally:
+            self._ending = False  # or the array could not say goodbye
+            self.keeper.close()
+            if self._journal is not None:
+                self._journal.close()
+            self._post(Event("ended"))
+
+    def _launch(self) -> bool:
+        try:
+            self.keeper.launch()
+            from raygrid.host.journal import Journal
+            from raygrid.host.scene_store import SceneStore
+
+            self._store = SceneStore(self._options.shape)
+            self._journal = Journal(self._options.journal)
+        except Interrupted:
+            return False
+        except Exception as error:
+            self._post(Event("broken", None, {"why": _told(error)}))
+            return False
+        self._post(Event("ready", None, {"pids": self.keeper.pids}))
+        return True
+
+    def _serve(self) -> None:
+        while not self._ending:
+            try:
+                given = self._inbox.get(timeout=LOOK_SECONDS if self.keeper.there else LAUNCH_SECONDS)
+            except queue.Empty:
+                self._repair(self.keeper.check)
+                continue
+            if isinstance(given, Task):
+                self._do(given)
+            elif given == "reset" and self._repair(self.keeper.reset):
+                self._post(Event("reset"))
+
+    def _repair(self, work: Callable[[], None]) -> bool:
+        """Look after the array; whether it can be used."""
+        pids = self.keeper.pids
+        try:
+            work()
+        except Interrupted:
+            return False
+        except Exception as error:
+            self._post(Event("broken", None, {"why": _told(error)}))
+            return False
+        if self.keeper.pids not in ([], pids):
+            self._post(Event("ready", None, {"pids": self.keeper.pids}))
+        return True
+
+    def _do(self, task: Task) -> None:
+        self._task, self._told = task, 0.0
+        pids = self.keeper.pids
+        try:
+            self._look()
+            self._post(Event("begun", task))
+            event = self._frame(task)
+        except Interrupted:
+            event = Event("interrupted", task)
+        except NoArray as error:  # the frame can wait
+            self._post(Event("broken", task, {"why": _told(error)}))
+            event = Event("interrupted", task)
+        except Exception as error:
+            event = Event("failed", task, {"why": _told(error)})
+        finally:
+            self._task = None
+        if self.keeper.pids not in ([], pids):
+            self._post(Event("ready", None, {"pids": self.keeper.pids}))
+        self._post(event)
+
+    def _look(self) -> None:
+        """Called often while the array works. Raises Interrupted."""
+        if self._ending or (self._task is not None and self._task.serial == self._unwanted):
+            raise Interrupted
+
+    # --- one frame ------------------------------------------------------------------------------------
+
+    def _frame(self, task: Task) -> Event:
+        from raygrid.host.outputs import check_path, check_picture_path, check_side
+
+        assert self._store is not None
+        begun = time.perf_counter()
+        request = task.request
+        files = [path_of(pattern, task.frame) for pattern in request.outputs]
+        stats = None if request.stats is None else path_of(request.stats, task.frame)
+        self._tell(task, "read", 0.0, 0)
+        ready = self._store.frame(request.scene, request.job_settings(), task.frame or 0)
+        self._note(task, ready.job.scene.remarks)
+        digest = ready.digest(task.frame, request.transfer)
+        size = ready.job.frame.width, ready.job.frame.height
+        facts = {"files": dict.fromkeys(files, digest), "skipped": False, "stats": stats}
+        if request.resume and self._there(files, stats, digest, size):
+            return Event("done", task, facts | {"skipped": True, "seconds": {}})
+        for file in files:
+            check_picture_path(file)
+            check_side(file, *size)
+        if stats is not None:
+            check_path(stats)
+        picture = self.keeper.render(ready, request.budget, self._watch(task, ready))
+        self._tell(task, "write", 1.0, 0)
+        self._write(picture, files, stats, request.transfer, digest)
+        if picture.stats["total"]["hits"] == 0:
+            self._note(task, ["no ray of the camera meets a surface: the picture shows the background only"])
+        seconds = dict(picture.stats["wall_seconds"]) | {"whole": round(time.perf_counter() - begun, 6)}
+        return Event("done", task, facts | {"seconds": seconds})
+
+    def _there(self, files: list[str], stats: str | None, digest: str, size: tuple[int, int]) -> bool:
+        from raygrid.host.whole import is_whole
+
+        assert self._journal is not None
+        journal = self._journal
+        if stats is not None and not Path(stats).is_file():
+            return False
+        with contextlib.suppress(RaygridError):  # a journal that cannot be read vouches for nothing
+            return all(is_whole(file, digest, *size, journal.is_recorded) for file in files)
+        return False
+
+    def _write(self, picture: Picture, files: list[str], stats: str | None, transfer: str, digest: str) -> None:
+        from raygrid.host.stats import save_stats
+        from raygrid.host.whole import KEYWORD
+
+        for file in files:
+            picture.save(file, transfer, {KEYWORD: digest})
+        if stats is not None:
+            save_stats(stats, picture.stats)
+
+    def _watch(self, task: Task, ready: Ready) -> Callable[[str, Progress | None], None]:
+        def watch(phase: str, now: Progress | None) -> None:
+            self._look()
+            if now is None:
+                self._tell(task, phase, 1.0 if phase == "collect" else 0.0, 0)
+            elif time.monotonic() - self._told > TELL_SECONDS:
+                born, died = sum(now.born), sum(now.died)
+                part = min(1.0, now.primaries / ready.expected) * died / max(born, 1)
+                self._tell(task, phase, part, now.in_flight)
+
+        return watch
+
+    def _tell(self, task: Task, phase: str, part: float, in_flight: int) -> None:
+        self._told = time.monotonic()
+        self._post(Event("moved", task, {"phase": phase, "part": part, "in_flight": in_flight}))
+
+    def _note(self, task: Task, remarks: Any) -> None:
+        """Tell of remarks, each once a job."""
+        for text in remarks:
+            if (task.job, text) not in self._noted:
+                self._noted.add((task.job, text))
+                self._post(Event("note", task, {"text": text}))
+        if len(self._noted) > 10_000:
+            self._noted.clear()
+
+
+def _told(error: BaseException) -> str:
+    """An error as one line; what is not ours goes with its traceback into the log."""
+    line = " ".join(str(error).split())
+    if isinstance(error, RaygridError):
+        return line
+    if isinstance(error, MemoryError):
+        return "out of memory"
+    traceback.print_exception(error, file=sys.stderr)
+    return f"a bug: {type(error).__name__}: {line} (the array's log has more)"

@@ -1,0 +1,139 @@
+"""The door of a service without a service: limits that a whole array would take long to reach."""
+
+import asyncio
+import os
+import socket
+from pathlib import Path
+
+import pytest
+
+from raygrid.host import service_door
+from raygrid.host.service_door import Door
+from raygrid.host.service_files import SOCKET, TOKEN
+from raygrid.host.wire import VERSION, Splitter, pack
+
+
+@pytest.fixture
+def folder(no_leftovers):
+    """A short private directory."""
+    return no_leftovers
+
+
+async def answer(client, request):
+    """Each client follows everything; each request is answered by its name."""
+    return {"is": request.do}
+
+
+def connected(folder):
+    peer = socket.socket(socket.AF_UNIX)
+    peer.settimeout(20.0)
+    peer.connect(os.path.join(folder, SOCKET))
+    return peer
+
+
+def greeting(folder):
+    return pack({"do": "hello", "version": VERSION, "token": Path(folder, TOKEN).read_text()})
+
+
+def received(peer):
+    """All messages until the door closes."""
+    splitter, found = Splitter(), []
+    while True:
+        try:
+            piece = peer.recv(1 << 16)
+        except ConnectionResetError:
+            return found
+        if not piece:
+            return found
+        splitter.feed(piece)
+        while (message := splitter.next()) is not None:
+            found.append(message)
+
+
+def with_door(folder, work):
+    """Open a door and let `work(door)` run in a thread beside it."""
+
+    async def run():
+        door = Door(folder, answer)
+        await door.open()
+        try:
+            return await asyncio.to_thread(work, door, asyncio.get_running_loop())
+        finally:
+            await door.close()
+
+    return asyncio.run(run())
+
+
+def test_who_says_nothing_is_sent_away(folder, monkeypatch):
+    monkeypatch.setattr(service_door, "GREETING_SECONDS", 0.1)
+
+    def work(door, _):
+        with connected(folder) as peer:
+            (said,) = received(peer)
+            assert said["is"] == "error"
+        with connected(folder) as peer:
+            peer.sendall(greeting(folder)[:20])  # and not the rest
+            assert [said["is"] for said in received(peer)] == ["error"]
+        assert door.refused["greeting"] == 2
+
+    with_door(folder, work)
+
+
+def test_who_comes_when_it_is_full_is_sent_away(folder, monkeypatch):
+    monkeypatch.setattr(service_door, "MOST_CLIENTS", 2)
+
+    def work(door, _):
+        inside = [connected(folder) for _ in range(2)]
+        for peer in inside:
+            peer.sendall(greeting(folder) + pack({"do": "status"}))
+            assert peer.recv(1)
+        with connected(folder) as late:
+            assert received(late) == []
+        assert door.refused["crowd"] == 1
+        for peer in inside:
+            peer.close()
+
+    with_door(folder, work)
+
+
+def test_another_user_is_not_listened_to(folder, monkeypatch):
+    monkeypatch.setattr(service_door.os, "geteuid", lambda: os.getuid() + 1)
+
+    def work(door, _):
+        with connected(folder) as peer:
+            assert received(peer) == []
+        assert door.refused["user"] == 1
+
+    with_door(folder, work)
+
+
+def test_who_does_not_read_is_cut_off_and_progress_is_dropped_first(folder, monkeypatch):
+    monkeypatch.setattr(service_door, "MOST_UNSENT", 1 << 20)
+
+    def work(door, loop):
+        with connected(folder) as peer:
+            peer.sendall(greeting(folder) + pack({"do": "status"}))
+            while len(door.clients) == 0:
+                peer.recv(1, socket.MSG_PEEK)
+            (client,) = door.clients
+            done = asyncio.run_coroutine_threadsafe(flood(client, droppable=True), loop)
+            done.result(20.0)
+            assert door.refused["slow"] == 0
+            asyncio.run_coroutine_threadsafe(flood(client, droppable=False), loop).result(20.0)
+            assert door.refused["slow"] == 1
+            received(peer)
+
+    async def flood(client, droppable):
+        for _ in range(400):
+            client.send({"is": "event", "text": "x" * 10_000}, droppable)
+
+    with_door(folder, work)
+
+
+def test_the_socket_and_the_secret_are_for_us_alone(folder):
+    def work(door, _):
+        for name in (SOCKET, TOKEN):
+            assert os.stat(os.path.join(folder, name)).st_mode & 0o777 == 0o600
+        assert len(Path(folder, TOKEN).read_text()) == 64
+
+    with_door(folder, work)

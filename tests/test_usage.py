@@ -1,0 +1,42 @@
+"""What the kernel says of memory: looked up when it is due, and by every process for itself."""
+
+import os
+
+import pytest
+
+from raygrid.node import usage
+
+
+@pytest.fixture
+def looked(monkeypatch):
+    """The files that were looked at; each look finds one byte more. The clock stands at 100 s."""
+    files = []
+
+    def look(path, names):
+        files.append(path)
+        return len(files)
+
+    monkeypatch.setattr(usage, "_sum_of", look)
+    monkeypatch.setattr(usage, "_private", (0, -1.0, 0))
+    monkeypatch.setattr(usage.time, "monotonic", lambda: 100.0)
+    return files
+
+
+def test_private_memory_is_looked_up_again_when_it_is_a_second_old(looked, monkeypatch):
+    assert [usage.private_memory() for _ in range(3)] == [1, 1, 1]
+    monkeypatch.setattr(usage.time, "monotonic", lambda: 100.9)
+    assert usage.private_memory() == 1
+    monkeypatch.setattr(usage.time, "monotonic", lambda: 101.0)
+    assert usage.private_memory() == 2
+    assert looked == ["/proc/self/smaps_rollup"] * 2
+
+
+def test_a_fork_looks_for_itself(looked, monkeypatch):
+    usage.private_memory()
+    monkeypatch.setattr(usage.os, "getpid", lambda: -5)
+    assert usage.private_memory() == 2
+
+
+def test_it_is_what_the_kernel_says():
+    grown = bytearray(os.urandom(8_000_000))
+    assert len(grown) < usage.private_memory() <= usage.peak_memory()
