@@ -302,7 +302,7 @@ class Processor:
         elif do == "groups":
             self.tracer.increments.set_groups(order)
         elif do == "move":
-            self._halted = False
+            self._halted = self._built = False
             self.tracer.move(order)
         elif do == "hand":
             self._handed_on += self.tracer.increments.hand()
