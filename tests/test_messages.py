@@ -198,7 +198,7 @@ def test_surfaces_that_are_not_as_they_say_are_refused(kind):
         (good, 2, "3 of 2"),
         (good, 0, "3 of 0"),
         (_with(good, HEAD, b"\x09"), 3, "corner 9"),
-        (_with(good, HEAD + 1, b"\x06"), 3, "kind 6"),
+        (_with(good, HEAD + 1, b"\x07"), 3, "kind 7"),
         (_with(good, HEAD + 2, b"\x01"), 3, "surfaces came with"),
         (_with(good, HEAD + 4, b"\xff\xff\xff\xff"), 2**32 - 1, "came in"),
         (_with(good, HEAD + 8, b"\xff\xff\xff\xff"), 3, "came in"),
