@@ -197,23 +197,27 @@ def _linked(program: Program, file: Path) -> Compiled:
     for name, value in list(own.items()):
         if callable(value) and getattr(value, "__module__", None) == own["__name__"]:
             own[name] = part(value)
-    into = _again("programmed", {})
+    into = _again(program, "programmed", {})
     into.update({hook: own[hook] for hook in program.hooks})
-    traverse = _again("traverse", {"_meet": into["_meet"]})
+    traverse = _again(program, "traverse", {"_meet": into["_meet"]})
     taken = {name: into[name] for name in ("normals", "_bear_shadows", "edge_colour")}
-    step = _again("step", taken | {name: traverse[name] for name in ("closest", "blocked")})
-    misses = _again("misses", {"edge_colour": into["edge_colour"]})
-    turn = _again("turn", {"step": step["step"]})
+    step = _again(program, "step", taken | {name: traverse[name] for name in ("closest", "blocked")})
+    misses = _again(program, "misses", {"edge_colour": into["edge_colour"]})
+    turn = _again(program, "turn", {"step": step["step"]})
     return Compiled(program, turn["turn"], misses["add_missed"])
 
 
-def _again(name: str, instead: dict[str, Any]) -> dict[str, Any]:
+def _again(program: Program, name: str, instead: dict[str, Any]) -> dict[str, Any]:
     """The namespace of a module of this package, executed anew, with some of its names standing for something else.
 
-    numba looks up names when it compiles, which is at the first call.
+    numba looks up names when it compiles, which is at the first call. The module has a name of its own, for compiled
+    functions are linked by their names: those of the step without a program are there as well.
     """
     path = Path(__file__).with_name(f"{name}.py")
-    space: dict[str, Any] = {"__name__": f"{__package__}.{name}", "__package__": __package__, "__file__": str(path)}
+    module = ModuleType(f"raygrid_program_{program.digest[:16]}_{name}")
+    sys.modules[module.__name__] = module
+    space = module.__dict__
+    space["__package__"], space["__file__"] = __package__, str(path)
     exec(compile(path.read_text(), str(path), "exec"), space)
     space.update(instead)
     return space
