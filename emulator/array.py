@@ -57,6 +57,7 @@ class Array:
     restarts  nodes that were forked anew so far
     refused_samples  what came as a sample of a probe and was none
     fault     what goes wrong on purpose on links between neighbours, for experiments; patience is FAULT_PATIENCE then
+    programs  whether nodes take programs (`node.programs`): code of others, with your rights
     injected  messages that were hit by it so far
     profile   whether nodes say where their time goes (`node.profile`)
     timed     whether nodes can keep machine time (`node.timed_processor`)
@@ -71,6 +72,7 @@ class Array:
         patience: float | None = None,
         on_warming: Callable[[int, int, str], None] | None = None,
         fault: FaultPlan | None = None,
+        programs: bool = False,
         profile: bool = False,
         timed: bool = False,
     ) -> None:
@@ -78,6 +80,7 @@ class Array:
         if fault is not None:
             patience = min(FAULT_PATIENCE, FAULT_PATIENCE if patience is None else patience)
         self.shape, self.batch, self.patience, self.fault = shape, batch, patience, fault
+        self.programs = programs
         self.injected, self.profile, self.timed = 0, profile, timed
         self.epoch, self.restarts = -1, 0
         self.on_words: Callable[[Index, Words], None] | None = None
@@ -209,7 +212,8 @@ class Array:
             pair = Pair(self._context, host_endpoint(self._place.path, self.epoch, index), bind=True)
             self._pairs[corner] = pair
             self._poller.register(pair.socket, zmq.POLLIN)
-        told = {"batch": self.batch, "fault": self.fault, "profile": self.profile, "timed": self.timed}
+        told = {"batch": self.batch, "fault": self.fault, "programs": self.programs}
+        told |= {"profile": self.profile, "timed": self.timed}
         forked = self._crew.begin(node_configs(self.shape, self._place.path, self.epoch, machine, **told))
         self.restarts += 0 if first else forked
         for descriptor in self._crew.filenos():

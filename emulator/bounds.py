@@ -43,8 +43,8 @@ from raygrid.node.intersect import CONE_COLUMNS, PLANE_COLUMNS, POLY_COLUMNS
 from raygrid.node.link import MESSAGE_OVERHEAD
 from raygrid.node.packets import SIZE
 from raygrid.node.step import HEAD
-from raygrid.node.surfaces import STORED_AS, STRIDE, Kind
-from raygrid.node.tables import SPECULAR, TRANSMISSION, Frame
+from raygrid.node.surfaces import STORED_AS, STRIDE, SURFACE_KINDS, AddedKind, AnyKind, Kind
+from raygrid.node.tables import OWN_COLUMNS, SPECULAR, TRANSMISSION, Frame
 from raygrid.node.tracer import ROOM
 from raygrid.node.turn import ADMIT_AT_ONCE, PORTION
 from raygrid.node.walk import OUTPUTS
@@ -104,17 +104,18 @@ def surfaces_bound(counts: dict[str, int], polygon_points: int) -> int:
 
     polygon_points   vertices of all these polygons together
     """
-    tables = {
+    tables: dict[AnyKind, int] = {
         Kind.TRIANGLE: STRIDE[Kind.TRIANGLE] * 4,
         Kind.SMOOTH: STRIDE[Kind.SMOOTH] * 4,
         Kind.POLYGON: (PLANE_COLUMNS + POLY_COLUMNS + 1) * WORD,
         Kind.SPHERE: STRIDE[Kind.SPHERE] * WORD,
         Kind.CYLINDER: CONE_COLUMNS * WORD,
         Kind.CONE: CONE_COLUMNS * WORD,
+        AddedKind.PROGRAMMED: OWN_COLUMNS * WORD,
     }
     inner = WORDS * 4  # each node of the hierarchy has two children or more, unless it is the only one
     total = 3 * WORD  # ends of tables
-    for kind in Kind:
+    for kind in SURFACE_KINDS:
         described = NAMED + (0 if kind == Kind.POLYGON else STRIDE[kind] * np.dtype(STORED_AS[kind]).itemsize)
         listed = 4 + NAMED
         total += counts.get(kind.name.lower(), 0) * (described + listed + inner + tables[kind])

@@ -15,11 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.node.errors import Garbled, ProtocolError, Stuck
+from raygrid.node.errors import ArrayError, Garbled, ProtocolError, SceneError, Stuck
 from raygrid.node.flood import corners
+from raygrid.node.increments import pieces
 from raygrid.node.lattice import Space
 from raygrid.node.link import Link, State
 from raygrid.node.messages import MessageKind, check_packets, pack_surfaces, read_order
+from raygrid.node.motions import Moves, groups_order, placed
 from raygrid.node.orders import frame_order, space_order
 from raygrid.node.packets import KINDS, PIXEL, PRIMARY, read_pixels
 from raygrid.node.processor import (
@@ -34,9 +36,12 @@ from raygrid.node.processor import (
     WAITING,
     read_sums,
 )
+from raygrid.node.programs import Program, program_order
 from raygrid.node.step import HEAD
-from raygrid.node.surfaces import Batch, Kind, SurfaceSet
+from raygrid.node.surfaces import Batch, SurfaceSet
 from raygrid.node.tables import BORN, DIED, Frame
+
+from .increments import Held, check_moves, increment
 
 CHUNK_BYTES = 1 << 16  # surfaces in a message
 BUDGET = 262_144  # packets in flight below which primaries are admitted, and so the most primaries alive (`bounds`)
@@ -46,6 +51,7 @@ HOLD = 0.02  # seconds for which a busy node may hold a wave, and a millisecond 
 LINGER, LONGEST_LINGER = 0.0012, 0.015
 GATHER = 0.5  # part of the mean share of packets that it waits for
 EAGER_FLUSH, CROWDED_FLUSH = 256, 4096  # packets for which a node with work sends an output
+PROGRAM_SECONDS = 600.0  # one process compiles a program, which takes half a minute on an idle computer
 LEAST_SHARE = 256  # packets a node below which nobody waits
 
 
@@ -91,6 +97,10 @@ class Driver:
         self._sums: NDArray[np.int64] | None = None
         self._samples: NDArray[np.int64] | None = None
         self._pixels_received = 0
+        self.held: Held | None = (
+            None  # the frame of a shot that the nodes hold; None: it is not known, or does not move
+        )
+        self.program: Program | None = None  # what the nodes run
         self.waves = 0
         self.most_in_flight = 0
 
@@ -186,30 +196,88 @@ class Driver:
         """Wait until every link of every node is up."""
         self.wave({"do": "ready"})
 
-    def load(self, space: Space, surfaces: SurfaceSet) -> None:
-        """Deal surfaces (machine coordinates) over the corners, and wait until every node has built its tables."""
+    def load_program(self, program: Program | None) -> None:
+        """Let all nodes compile and try a program, and use it if all are content; None: the step without one.
+
+        Surfaces must be loaded anew afterwards. Raises ArrayError with what the nodes say if one is not; then all use
+        what they used before.
+        """
+        self.held = None
+        self._settle()
+        self._quiet = False
+        patience, self.patience = self.patience, max(self.patience, PROGRAM_SECONDS)
+        try:
+            self.wave(program_order(program))
+            self.wave({"do": "use"})
+        except Garbled as error:
+            self._settle()  # so that nodes forget what they refused
+            raise ArrayError(f"a program was refused: {error}") from None
+        finally:
+            self.patience = patience
+        self.program = program
+
+    def load(self, space: Space, surfaces: SurfaceSet, moves: Moves | None = None) -> None:
+        """Deal surfaces (machine coordinates) over the corners, and wait until every node has built its tables.
+
+        `moves`: of some surfaces, which then are given at rest, the groups and where these are. Raises SceneError for
+        motions that are not finite, or by which a surface leaves the world box.
+        """
+        self.held = None
+        if moves is not None:
+            check_moves(space, surfaces, moves)
         self._settle()
         self._quiet = False
         self.wave(space_order(space))
+        if moves is not None and moves.groups.many:
+            self.wave(groups_order(moves))
         dealt = 0
-        for corner, batch in _deal(surfaces, corners(self.shape)):
+        for corner, batch in _deal(surfaces, corners(self.shape), moves):
             link = self.links[corner]
             link.send_data(MessageKind.SURFACES, len(batch), pack_surfaces(corner, batch))
             dealt += len(batch)
             if link.waiting > 4:
                 self._wait(lambda link=link: link.waiting <= 4, "a corner takes more surfaces")  # type: ignore[misc]
         self._wait(lambda: all(link.waiting == 0 for link in self.links.values()), "the corners take all surfaces")
-        before = (
-            None  # one wave proves nothing: it may count an arrival whose sending it missed, and the other way round
-        )
-        while True:
-            sums = self.wave({"do": "loaded"})["sums"]
-            now = sums[RECEIVED], sums[HANDED_ON]
-            if now == before and now[0] == dealt + now[1]:
-                break
-            before = now
+        self._wait_arrived(dealt, -1)
         self.wave({"do": "build"})
         self._quiet = True
+        self.held = None if moves is None else Held(space, surfaces, moves, dealt)
+
+    def move(self, moves: Moves) -> bool:
+        """Bring the surfaces of the last load to where `moves` has them, by telling nodes only what has changed.
+
+        Returns whether that was more than nothing. Raises SceneError as `load` does, and then the nodes hold what they
+        held; ArrayError without a load of the same groups before.
+        """
+        held, self.held = self.held, None
+        if held is None or held.moves.groups is not moves.groups:
+            raise ArrayError("an increment came without a load of the same groups before it")
+        try:
+            order = increment(held, moves)
+        except SceneError:
+            self.held = held
+            raise
+        if order is not None:
+            self._settle()
+            self._quiet = False
+            self.wave(order)
+            self._wait_arrived(held.dealt, self.wave({"do": "hand"})["sums"][RECEIVED])
+            self.wave({"do": "build"})
+            self._quiet = True
+        self.held = held._replace(moves=moves)
+        return order is not None
+
+    def _wait_arrived(self, dealt: int, received: int) -> None:
+        """Wait until all descriptions that were sent have come; `received`: the count of the wave before, -1: none.
+
+        What a wave counts is no picture of one moment, so two are compared. What the first found received had been, and
+        what the second found sent was all, at the moment between them: if these are the same, none was under way.
+        """
+        while True:
+            sums = self.wave({"do": "loaded"})["sums"]
+            if received == dealt + sums[HANDED_ON]:
+                return
+            received = sums[RECEIVED]
 
     # --- tracing -------------------------------------------------------------------------------------
 
@@ -335,36 +403,19 @@ def _quota(budget: int, now: Progress, before: Progress | None, allowed: int) ->
     return max(0, budget - in_flight - allowed) // now.homes_left
 
 
-def _deal(surfaces: SurfaceSet, places: dict[int, tuple[int, int, int]]) -> Iterator[tuple[int, Batch]]:
+def _deal(
+    surfaces: SurfaceSet, places: dict[int, tuple[int, int, int]], moves: Moves | None
+) -> Iterator[tuple[int, Batch]]:
     """Each surface to the corner nearest to its middle, in messages of about CHUNK_BYTES, corners in turn."""
     queues: dict[int, list[Batch]] = {corner: [] for corner in places}
     several = [any(corner >> axis & 1 for corner in places) for axis in range(3)]
     for batch in surfaces:
-        middles = batch.bounds().mean(axis=1)
+        middles = placed(batch, moves).bounds().mean(axis=1)
         corner_of = sum(((middles[:, axis] >= 0.0) & several[axis]).astype(np.int64) << axis for axis in range(3))
         for corner in places:
             rows = np.flatnonzero(corner_of == corner)
-            queues[corner].extend(_chunks(batch, rows))
+            queues[corner].extend(pieces(batch.select(rows), CHUNK_BYTES))
     while any(queues.values()):
         for corner, queue in queues.items():
             if queue:
                 yield corner, queue.pop(0)
-
-
-def _chunks(batch: Batch, rows: NDArray[np.intp]) -> Iterator[Batch]:
-    """Cut the chosen rows of a batch into messages."""
-    if batch.kind == Kind.POLYGON:
-        sizes = 10 + 24 * np.diff(batch.starts)[rows]
-    else:
-        sizes = np.full(len(rows), 6 + batch.data.shape[1] * batch.data.dtype.itemsize)
-    message = np.cumsum(sizes) // CHUNK_BYTES
-    for first, last in zip(*_runs(message), strict=True):
-        yield batch.select(rows[first:last])
-
-
-def _runs(values: NDArray[np.int64]) -> tuple[list[int], list[int]]:
-    """Begin and end of each run of equal values."""
-    if len(values) == 0:
-        return [], []
-    borders = (np.flatnonzero(np.diff(values)) + 1).tolist()
-    return [0, *borders], [*borders, len(values)]

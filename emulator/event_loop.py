@@ -181,6 +181,7 @@ def held_by(surfaces, first, last):
         surfaces.headers,
         surfaces.bins,
         surfaces.edges,
+        surfaces.programmed,
     )
 
 

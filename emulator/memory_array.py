@@ -24,7 +24,12 @@ class MemoryArray:
     """Processors of an array, run in turn. `order(n)` may give another order of the n nodes for each round."""
 
     def __init__(
-        self, shape: tuple[int, int, int], batch: int = 1024, order: Order = np.arange, timed: bool = False
+        self,
+        shape: tuple[int, int, int],
+        batch: int = 1024,
+        order: Order = np.arange,
+        programs: bool = False,
+        timed: bool = False,
     ) -> None:
         channels: dict[tuple[int, int, int], dict[int, Any]] = {index: {} for index in indices(shape)}
         for link in neighbour_links(shape):
@@ -38,7 +43,7 @@ class MemoryArray:
             config = {"index": list(index), "machine": "memory", "epoch": 0, "timed": timed}
             links = open_links(config, channels[index])
             kind = processor_class(config)
-            self.processors.append(kind(index, shape, links, batch, clock=lambda: 0.0))
+            self.processors.append(kind(index, shape, links, batch, lambda: 0.0, programs))
         links_of_host: dict[int, Link] = host_links(shape, host_ends, "memory", 0)
         self.driver = Driver(shape, links_of_host, self._pump)
 

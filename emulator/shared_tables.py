@@ -26,7 +26,7 @@ from raygrid.node.lanes import CHILDREN, WIDE
 from raygrid.node.lattice import HALF, SLACK, Space, make_cell, make_space
 from raygrid.node.overlap import surface_meets
 from raygrid.node.packets import LATTICE
-from raygrid.node.surfaces import STORED_AS, Batch, Kind, SurfaceSet, merge
+from raygrid.node.surfaces import STORED_AS, AnyKind, Batch, Kind, SurfaceSet, merge
 from raygrid.node.tables import KIND_SHIFT, Surfaces
 
 Long = NDArray[np.int64]
@@ -200,7 +200,7 @@ def trees(surfaces: SurfaceSet, space: Space, held: Holdings) -> tuple[Surfaces,
     return _gathered(by_kind, held.kinds[order], held.rows[order], made), roots
 
 
-def _gathered(by_kind: dict[Kind, Batch], kinds: Long, rows: Long, made: list[NDArray[np.float32]]) -> Surfaces:
+def _gathered(by_kind: dict[AnyKind, Batch], kinds: Long, rows: Long, made: list[NDArray[np.float32]]) -> Surfaces:
     """The tables of surfaces in the order of the leaves of all hierarchies; a surface is there once for each cell."""
     floats = np.concatenate([np.zeros((0, WORDS), np.float32), *made])
     items = kinds.astype(np.uint32) << np.uint32(KIND_SHIFT)

@@ -4,9 +4,9 @@
 each node would have to do, and searches for the planes by which the busiest has least (`emulator.work`). The same
 scene, camera, settings and shape always give the same planes, and the picture is the same for any planes.
 
-Without a camera, for a very small picture, or if no ray enters the world box, planes lie at quantiles of the surfaces:
-each slab between two planes has about as many as the next. Where an axis has more than MOST_CELLS cells, they lie at
-quantiles of where rays begin.
+Without a camera, for a very small picture, with surfaces of a program, or if no ray enters the world box, planes lie at
+quantiles of the surfaces: each slab between two planes has about as many as the next. Where an axis has more than
+MOST_CELLS cells, they lie at quantiles of where rays begin.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from raygrid.node.errors import ArrayError
 from raygrid.node.lattice import HALF, THINNEST_CELL, Space, World, make_space
 from raygrid.node.packets import LATTICE
-from raygrid.node.surfaces import SurfaceSet
+from raygrid.node.surfaces import AddedKind, SurfaceSet
 from raygrid.node.tables import Frame
 
 F64 = NDArray[np.float64]
@@ -55,7 +55,7 @@ def split(
     planes: Sequence[Line] | None = None
     if kind == "uniform" or shape == (1, 1, 1):
         planes = [_uniform(cells) for cells in shape]
-    elif frame is not None and _rays(frame) >= WORTHWHILE:
+    elif frame is not None and _rays(frame) >= WORTHWHILE and not surfaces.count(AddedKind.PROGRAMMED):
         planes = _when_compiled(lambda: _by_pilot(shape, world, surfaces, frame), wait)
     if planes is None:
         boxes = np.concatenate([batch.bounds() for batch in surfaces])

@@ -58,9 +58,16 @@ Examples:
   raygrid render scenes/glass.toml --array 3x3x3 --size 800x600 --samples 4 -o glass.png
   raygrid render bunny.ply -o bunny.png -o bunny.npy --stats bunny.json
   raygrid render balls.nff --array 4x4x1 --split uniform --batch 1
+  raygrid render scenes/mobile.toml --frames 1-48 -o 'out/mobile_%04d.png' -o out/mobile.gif
+  raygrid render scenes/room.glb --turntable 72 -o out/round.webp
 
 .npy holds the exact sums as int64, height x width x 3: linear radiance x 2^24, added over the samples of a pixel.
 docs/stats.md says what the statistics mean, docs/probes.md what probes tell.
+"""
+LOAD_EXAMPLES = """\b
+Examples:
+  raygrid load scenes/programs/torus.py --allow-programs
+  raygrid render scenes/rings.toml --program scenes/programs/torus.py --allow-programs -o rings.png
 """
 INFO_EXAMPLES = """\b
 Examples:
@@ -119,6 +126,23 @@ class Edges(AnyType):
         if not all(word.isascii() and word.isdigit() and len(word) < 5 and 1 <= int(word) <= 1024 for word in words):
             self.fail(f"{_shorten(value)} came, wanted edges of 1 to 1024 such as 1,2,4,8", param, ctx)
         return tuple(sorted({int(word) for word in words}))
+
+
+class Frames(AnyType):
+    """Frames of a shot, `1-48` or `7`."""
+
+    name = "frames"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        """Raises a usage error for anything else."""
+        if isinstance(value, tuple):
+            return value
+        ends = str(value).split("-")
+        right = len(ends) <= 2 and all(end.isascii() and end.isdigit() and len(end) <= 7 for end in ends)
+        first, last = (int(ends[0]), int(ends[-1])) if right else (0, 0)
+        if not 1 <= first <= last:
+            self.fail(f"{_shorten(value)} came, wanted frames such as 1-48 or 7", param, ctx)
+        return first, last
 
 
 class Fault(AnyType):
@@ -198,6 +222,14 @@ def cli() -> None:
 @click.option("-o", "--output", "outputs", multiple=True, type=click.Path(), metavar="FILE",
               help="Picture (.png .jpg .webp .tif .bmp .ppm), or .npy of the exact sums; may be repeated.  "
                    "[default: the scene's name with .png, here]")
+@click.option("--frames", type=Frames(), metavar="A-B",
+              help="Render these frames of a shot; FILE then has a number such as %04d in its name, or is .gif .webp .mp4.")
+@click.option("--turntable", type=Number(1, 1_000_000), metavar="N", help="The camera goes once round the scene in N frames.")
+@click.option("--turntable-scene", type=Number(1, 1_000_000), metavar="N",
+              help="The scene turns once in N frames, under lights that stay.")
+@click.option("--program", type=click.Path(), metavar="FILE",
+              help="Code for the nodes: a surface, a shading rule or a background (docs/programs.md).")
+@click.option("--allow-programs", is_flag=True, help="Launch an array that takes programs. They run with your rights.")
 @click.option("--stats", type=click.Path(), metavar="FILE", help="Write what the machine did as JSON.")
 @click.option("--probe-record", type=click.Path(), metavar="FILE", help="Keep how every node stood, line by line, as JSON.")
 @click.option("--chrome-trace", type=click.Path(), metavar="FILE", help="Write the same as a trace for Perfetto.")
@@ -222,16 +254,40 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
 
     SCENE is a file of one of these kinds: .nff .obj .ply .stl .glb .gltf .toml
     """
+    from raygrid.host.command_frames import turntable_of
     from raygrid.host.command_render import Request, default_outputs, run_render
 
     of_machine = ("batch", "budget", "transfer", "stats", "patience", "attempts", "fault", "quiet", "profile")
-    names = (*of_machine, "probe_record", "chrome_trace", "probe_rate")
+    names = (*of_machine, "probe_record", "chrome_trace", "probe_rate", "frames", "program", "allow_programs")
     machine = {name: options.pop(name) for name in names}
     timed, cost, search = (options.pop(name) for name in ("timed", "cost", "search"))
     if not timed and (cost or search):
         raise click.UsageError("--cost and --search came without --timed")
     machine |= {"cost": (cost or "8086") if timed else None, "search": search}
-    run_render(Request(scene, shape, outputs or default_outputs(scene), **machine, settings=options))
+    turntable = turntable_of(options.pop("turntable"), options.pop("turntable_scene"))
+    several = turntable is not None or machine["frames"] is not None
+    if timed and (several or machine["program"] is not None):
+        raise click.UsageError("--timed came with --frames, --turntable or --program, wanted one frame without a program")
+    outputs = outputs or default_outputs(scene, several)
+    run_render(Request(scene, shape, outputs, **machine, settings=options, turntable=turntable))
+
+
+@cli.command(epilog=LOAD_EXAMPLES)
+@click.argument("program", type=click.Path())
+@click.option("--array", "shape", type=Shape(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
+              help="Processors on each axis.")
+@click.option("--allow-programs", is_flag=True, help="Launch an array that takes programs. They run with your rights.")
+@click.option("-q", "--quiet", is_flag=True, help="No talk but errors.")
+@_debug_option
+def load(program: str, shape: tuple[int, int, int], allow_programs: bool, quiet: bool) -> None:
+    """Try a program on an array of processes.
+
+    PROGRAM is a file as docs/programs.md describes it. Every node checks, compiles and tries it; what is compiled stays on
+    disk, so that `raygrid render --program` begins at once.
+    """
+    from raygrid.host.command_load import run_load
+
+    run_load(program, shape, allow_programs, quiet)
 
 
 # fmt: off

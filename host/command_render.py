@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from raygrid.emulator.array import Array
+from raygrid.host.command_frames import Turntable, run_frames, wants_frames
+from raygrid.host.command_load import check_allowed
 from raygrid.host.load import check_name
 from raygrid.host.outputs import check_different, check_path, check_picture_path, check_side, write_result
 from raygrid.host.progress import Talk
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
     from raygrid.host.picture import Picture
     from raygrid.host.probing import Probing
     from raygrid.node.faulty import FaultPlan
+    from raygrid.node.programs import Program
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,10 @@ class Request:
     settings  of `raygrid.host.job.Settings`
     cost      a cost model for machine time, or None: no machine time is kept
     search    list, tree, or None: as the cost model says
+    frames    first and last frame of a shot, or None
+    turntable make the scene a shot of one turn, or None
+    program   path of a program that the nodes are to run, or None
+    allow_programs  whether the array takes programs
     probe_record, chrome_trace   paths of what probes tell `probe_rate` times a second, or None
     """
 
@@ -55,6 +62,10 @@ class Request:
     settings: dict[str, Any]
     cost: str | None = None
     search: str | None = None
+    frames: tuple[int, int] | None = None
+    turntable: Turntable | None = None
+    program: str | None = None
+    allow_programs: bool = False
     probe_record: str | None = None
     chrome_trace: str | None = None
     probe_rate: float = 10.0
@@ -62,6 +73,10 @@ class Request:
 
 def run_render(request: Request) -> None:
     """Launch, read, load, trace, collect, write. Raises RaygridError."""
+    check_allowed(request.program, request.allow_programs)
+    if wants_frames(request):
+        run_frames(request)
+        return
     begun = time.perf_counter()
     check_name(request.scene)
     if request.cost is not None:
@@ -92,15 +107,7 @@ def run_render(request: Request) -> None:
 
 def _render(request: Request, talk: Talk, begun: float, probing: Probing | None) -> Picture:
     shape = request.shape
-    with Array(
-        shape,
-        batch=request.batch,
-        patience=request.patience,
-        on_warming=talk.warming,
-        fault=request.fault,
-        profile=request.profile,
-        timed=request.cost is not None,
-    ) as array:
+    with launching(request, talk) as array:
         array.begin()
         talk.phase(f"reading {request.scene}")
         job = _read_job(request, talk, array.wait_warm)
@@ -148,6 +155,20 @@ def _probing(request: Request) -> AbstractContextManager[Probing | None]:
     return Probing(request.shape, request.probe_rate, request.probe_record, request.chrome_trace)
 
 
+def launching(request: Request, talk: Talk) -> Array:
+    """The array that is asked for, not yet begun."""
+    options: dict[str, Any] = {"fault": request.fault, "profile": request.profile, "programs": request.allow_programs}
+    options["timed"] = request.cost is not None
+    return Array(request.shape, request.batch, request.patience, talk.warming, **options)
+
+
+def program_of(request: Request) -> Program | None:
+    """The program that is asked for. Raises SceneError."""
+    from raygrid.host.program_file import read_program
+
+    return None if request.program is None else read_program(request.program)
+
+
 def _read_job(request: Request, talk: Talk, wait_warm: Callable[[], None]) -> Job:
     from raygrid.host.job import Settings, make_job
     from raygrid.host.load import load_scene
@@ -155,7 +176,9 @@ def _read_job(request: Request, talk: Talk, wait_warm: Callable[[], None]) -> Jo
     scene = load_scene(request.scene)
     for remark in scene.remarks:
         talk.remark(remark)
-    job = make_job(scene, request.shape, Settings(**request.settings), wait_warm)
+    if scene.shot is not None and scene.shot.frames > 1:
+        talk.remark(f"frame 1 of {scene.shot.frames}; --frames 1-{scene.shot.frames} renders all")
+    job = make_job(scene, request.shape, Settings(**request.settings, program=program_of(request)), wait_warm)
     for output in request.outputs:
         check_side(output, job.frame.width, job.frame.height)
     return job
@@ -172,9 +195,9 @@ def _check_outputs(request: Request) -> None:
     check_different(request.scene, written)
 
 
-def default_outputs(scene: str) -> tuple[str, ...]:
-    """A .png of the scene's name, in the current directory."""
-    return (Path(scene).stem + ".png",)
+def default_outputs(scene: str, several: bool = False) -> tuple[str, ...]:
+    """A .png of the scene's name, in the current directory; of several frames numbered ones."""
+    return (Path(scene).stem.replace("%", "_") + "_%04d.png" if several else Path(scene).stem + ".png",)
 
 
 def _summary(picture: Picture) -> tuple[str, ...]:

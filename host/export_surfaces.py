@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from raygrid.node.errors import SceneError
 from raygrid.node.surfaces import F64, Batch, Kind, SurfaceSet
 
 MOST = 0.999  # transmission above which the diffuse part, given by what is left of 1, would lose its precision
@@ -120,6 +121,8 @@ def _nested(balls: F64, iors: F64) -> F64:
 def _some(batch: Batch, rows: NDArray[np.bool_], scale: float, texture: str, words: str) -> Iterator[str]:
     """The chosen surfaces. `texture`: a format of the material's number; `words` go into each surface."""
     if rows.any():
+        if not isinstance(batch.kind, Kind):
+            raise SceneError("surfaces of a program came, wanted a scene without them: POV-Ray does not know them")
         yield from WRITERS.get(batch.kind, _mesh)(batch.select(rows), scale, texture, words)
 
 

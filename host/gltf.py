@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.host.cameras import Camera, look_at_everything, orthographic_camera, perspective_camera
+from raygrid.host.gltf_motion import GltfRig, Part, frames_of, part_names, read_animations
 from raygrid.host.scene import Scene
 from raygrid.host.scene_builder import MAX_COORDINATE, SceneBuilder, plural, shown
 from raygrid.host.scene_finish import finish_scene
@@ -36,8 +38,10 @@ from raygrid.host.scene_lights import (
     point_light,
     spot_light,
 )
+from raygrid.host.shot import Shot
 from raygrid.host.textures import Bytes, as_bytes, bake
 from raygrid.node.errors import SceneError
+from raygrid.node.motions import make_groups
 from raygrid.node.surfaces import F64, Kind
 
 Ints = NDArray[np.int64]
@@ -77,24 +81,54 @@ class _Reader:
         self.lights: list[Table] = []
         self.skipped = 0  # primitives that are points or lines
         self._numbers: dict[int, int] = {}  # id of a GltfMaterial: its number in the builder
+        self.motions, self._last = read_animations(document)
+        self.moving: list[tuple[Part, int, int]] = []  # meshes that move, with their order numbers, first and end
+        self.camera_parts: list[Part] = []
+        self.light_parts: list[Part] = []
 
     def scene(self) -> Scene:
         json, remarks = self.document.json, self.builder.remarks
         unknown = [name for name in json.get("extensionsRequired", ()) if name not in KNOWN]
         if unknown:
             raise self.document.error(f"the file requires the extension {unknown[0]}, which is not supported")
-        for row, matrix in self._nodes():
-            self._add_node(row, matrix)
+        for part, matrix in self._nodes():
+            self._add_node(part, matrix)
         if self.skipped:
             remarks.append(f"{plural(self.skipped, 'primitive')} of points or lines left out")
-        if json.get("animations") or json.get("skins"):
-            remarks.append("animations and skins left out: the scene is as the file's nodes place it")
+        if json.get("skins"):
+            remarks.append("skins left out: meshes are as the file's nodes place them")
         if len(self.cameras) > 1:
             remarks.append(f"the first of {len(self.cameras)} cameras used")
         camera = self.cameras[0] if self.cameras else None
-        return finish_scene(
-            self.builder, self.document.path, camera=camera, lights=self._exposed(camera), highlights=True
+        for _, first, end in self.moving:
+            self.builder.let_move(first, end)
+        lights = self._exposed(camera)
+        scene = finish_scene(self.builder, self.document.path, camera=camera, lights=lights, highlights=True)
+        return replace(scene, shot=self._shot(scene)) if self.motions else scene
+
+    def _shot(self, scene: Scene) -> Shot:
+        """What the animations change."""
+        orders, parts = self.builder.orders, [part for part, _, _ in self.moving]
+        ids, numbers = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+        for number, (_, first, end) in enumerate(self.moving):
+            ids.append(np.flatnonzero((orders >= first) & (orders < end)))
+            numbers.append(np.full(len(ids[-1]), number))
+        given = max((float(light["intensity"].max()) for light in self.lights), default=0.0)
+        shown_as = float(scene.lights["intensity"].max(initial=0.0))
+        camera = next((part for part in self.camera_parts[:1] if part.moves(self.motions)), None)
+        rig = GltfRig(
+            scene,
+            self.motions,
+            node_matrix,
+            tuple(parts),
+            camera,
+            tuple(self.light_parts),
+            lambda part, matrix: self._camera(self.document.item("cameras", part.path[-1][1]["camera"]), matrix),
+            lambda part, matrix: _light(self._lamp(part.path[-1][1]), matrix),
+            shown_as / given if given > 0.0 else 1.0,
         )
+        groups = make_groups(np.concatenate(ids), np.concatenate(numbers), len(parts))
+        return Shot(frames_of(self._last), tuple(part.name for part in parts), groups, rig.pose)
 
     def _exposed(self, camera: Camera | None) -> Table | None:
         if not self.lights:
@@ -105,7 +139,7 @@ class _Reader:
         self.builder.remarks.append("light intensities scaled: the brightest gives irradiance 1 where the camera looks")
         return exposed(light_table(self.lights), exposure_point(camera, bounds), max(closest, 1e-12))
 
-    def _nodes(self) -> Iterator[tuple[dict[str, Any], F64]]:
+    def _nodes(self) -> Iterator[tuple[Part, F64]]:
         """The nodes of the scene, parents first, with their matrices to the world, (4, 4)."""
         json = self.document.json
         if json.get("scenes"):
@@ -114,10 +148,11 @@ class _Reader:
             every = range(len(json.get("nodes", ())))
             children = {child for k in every for child in self.document.item("nodes", k).get("children", ())}
             roots = [k for k in every if k not in children]
-        waiting = [(number, np.eye(4)) for number in reversed(roots)]
+        above: tuple[tuple[int, dict[str, Any]], ...] = ()
+        waiting = [(number, np.eye(4), above) for number in reversed(roots)]
         seen: set[int] = set()
         while waiting:
-            number, parent = waiting.pop()
+            number, parent, above = waiting.pop()
             row = self.document.item("nodes", number)
             if number in seen:
                 raise self.document.error(f"nodes[{number}] is reached twice, wanted a tree of nodes")
@@ -125,19 +160,28 @@ class _Reader:
             matrix = parent @ node_matrix(row)
             if not (np.abs(matrix) <= MAX_COORDINATE).all():
                 raise self.document.error(f"nodes[{number}] has a transform that is not finite, or beyond 1e30")
-            yield row, matrix
-            waiting += [(child, matrix) for child in reversed(row.get("children", ()))]
+            path = (*above, (number, row))
+            yield Part(part_names(path), path), matrix
+            waiting += [(child, matrix, path) for child in reversed(row.get("children", ()))]
 
-    def _add_node(self, row: dict[str, Any], matrix: F64) -> None:
+    def _add_node(self, part: Part, matrix: F64) -> None:
+        row, first = part.path[-1][1], self.builder.next_order
         if "mesh" in row:
             for primitive in self.document.item("meshes", row["mesh"])["primitives"]:
                 self._add_primitive(primitive, matrix)
+        if self.builder.next_order > first and part.moves(self.motions):
+            self.moving.append((part, first, self.builder.next_order))
         if "camera" in row:
+            self.camera_parts.append(part)
             self.cameras.append(self._camera(self.document.item("cameras", row["camera"]), matrix))
-        lamp = row.get("extensions", {}).get(LIGHTS)
-        if lamp is not None:
-            lamps = self.document.json["extensions"][LIGHTS]["lights"]
-            self.lights.append(_light(lamps[lamp["light"]], matrix))
+        if row.get("extensions", {}).get(LIGHTS) is not None:
+            self.light_parts.append(part)
+            self.lights.append(_light(self._lamp(row), matrix))
+
+    def _lamp(self, row: dict[str, Any]) -> dict[str, Any]:
+        lamps = self.document.json["extensions"][LIGHTS]["lights"]
+        found: dict[str, Any] = lamps[row["extensions"][LIGHTS]["light"]]
+        return found
 
     def _camera(self, row: dict[str, Any], matrix: F64) -> Camera:
         """A camera looks down its node's -z, its picture's up is +y; the node's scale does not change the angle."""

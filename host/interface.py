@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -15,8 +15,10 @@ from raygrid.emulator.samples import Sample
 from raygrid.host.job import Settings, make_job
 from raygrid.host.load import load_scene
 from raygrid.host.picture import Picture
+from raygrid.host.program_file import read_program
 from raygrid.host.render import Watch
 from raygrid.host.scene import Scene
+from raygrid.host.shot_jobs import jobs_of
 from raygrid.host.steady import ATTEMPTS, render_steadily
 from raygrid.node.faulty import parse_fault
 
@@ -52,7 +54,8 @@ class Machine:
     ) -> Picture:
         """Render a scene, or the file of one.
 
-        settings  size, samples, depth, min_weight, highlights, split; see `raygrid.host.job.Settings`
+        settings  size, samples, depth, min_weight, highlights, split; see `raygrid.host.job.Settings`; and program, the
+                  path of a program for the nodes (docs/programs.md), on a machine launched with allow_programs
         budget    packets in flight below which new primary rays are admitted
         watch     called with (phase, progress) as the work goes on
         attempts  how often to try in all: when a node is lost or a link breaks, the array is reset and the frame
@@ -61,8 +64,29 @@ class Machine:
         """
         if not isinstance(scene, Scene):
             scene = load_scene(scene)
-        job = make_job(scene, self.shape, Settings(**settings))
+        job = make_job(scene, self.shape, _settings(settings))
         return render_steadily(self._array, job, budget, watch, attempts=attempts)
+
+    def render_frames(
+        self,
+        scene: Scene | str | Path,
+        frames: Iterable[int] | None = None,
+        *,
+        budget: int = BUDGET,
+        watch: Watch | None = None,
+        attempts: int = ATTEMPTS,
+        **settings: Any,
+    ) -> Iterator[Picture]:
+        """Render frames of a shot one after the other, from one to the next by increments; each has the bits that it
+        has alone.
+
+        frames  their numbers, from 1; None: all of the shot
+        The rest, and what is raised, as for `render`. `raygrid.host.turntable` makes a shot of a still scene.
+        """
+        if not isinstance(scene, Scene):
+            scene = load_scene(scene)
+        for job in jobs_of(scene, self.shape, _settings(settings), frames):
+            yield render_steadily(self._array, job, budget, watch, attempts=attempts)
 
     def probe(self, rate: float, watch: Callable[[Sample], object] | None) -> None:
         """Let every node tell `rate` times a second how it stands, while the array renders; 0: no more (docs/probes.md).
@@ -89,11 +113,17 @@ class Machine:
         self._array.__exit__(kind, error, trace)
 
 
+def _settings(given: dict[str, Any]) -> Settings:
+    program = given.get("program")
+    return Settings(**given | ({"program": read_program(program)} if isinstance(program, str | Path) else {}))
+
+
 def launch(
     shape: str | tuple[int, int, int] = "2x2x2",
     *,
     batch: int = BATCH,
     patience: float = PATIENCE,
+    allow_programs: bool = False,
     fault: str | None = None,
 ) -> Machine:
     """Launch an array of node processes on this computer, and wait until it is ready.
@@ -101,6 +131,7 @@ def launch(
     shape     processors on each axis, "2x2x2" or (2, 2, 2)
     batch     most packets a message
     patience  seconds without any progress after which the array is taken to hang
+    allow_programs  whether nodes take programs: code that runs with your rights
     fault     for experiments: what links between neighbours do to messages, "KIND[:RATE[:SEED]]" (`node.faulty`)
     Raises ValueError for what none of these can be, TooLarge for an array that does not fit this computer.
     """
@@ -110,4 +141,4 @@ def launch(
         raise ValueError(f"a patience came as {patience}, wanted seconds above 0")
     cells = parse_shape(shape if isinstance(shape, str) else "x".join(map(str, shape)))
     plan = None if fault is None else parse_fault(fault)
-    return Machine(Array.launch(cells, batch=batch, patience=patience, fault=plan))
+    return Machine(Array.launch(cells, batch=batch, patience=patience, fault=plan, programs=allow_programs))

@@ -16,8 +16,10 @@ from raygrid.host.scene import Scene
 from raygrid.node.errors import SceneError
 from raygrid.node.frame import POINT
 from raygrid.node.lattice import HALF, Space, World, world_around
+from raygrid.node.motions import Moves
 from raygrid.node.orders import MAX_SIDE
 from raygrid.node.packets import MAX_DEPTH, MAX_LIGHTS, MAX_SAMPLES
+from raygrid.node.programs import Program
 from raygrid.node.surfaces import SurfaceSet
 from raygrid.node.tables import Frame, light_table, material_table
 
@@ -36,6 +38,7 @@ class Settings:
     min_weight  rays whose largest weight is below this are not born (0)
     highlights  whether materials' highlights are used
     split       "balanced" or "uniform"
+    program     that nodes are to run (`raygrid.host.program_file`), None for none
     """
 
     size: tuple[int, int] | None = None
@@ -44,11 +47,16 @@ class Settings:
     min_weight: float | None = None
     highlights: bool | None = None
     split: str = "balanced"
+    program: Program | None = None
 
 
 @dataclass(frozen=True)
 class Job:
-    """A scene ready for an array of one shape."""
+    """A scene ready for an array of one shape.
+
+    moves   of a frame of a shot, where its groups are; surfaces in groups are at rest then
+    number  of that frame
+    """
 
     scene: Scene
     world: World
@@ -56,6 +64,8 @@ class Job:
     surfaces: SurfaceSet
     frame: Frame
     settings: Settings
+    moves: Moves | None = None
+    number: int | None = None
 
     @property
     def pixels(self) -> int:
@@ -66,7 +76,14 @@ class Job:
 def make_job(
     scene: Scene, shape: tuple[int, int, int], settings: Settings, wait: Callable[[], None] | None = None
 ) -> Job:
-    """Raises SceneError for settings that cannot be. `wait`: as of `raygrid.emulator.split.split`."""
+    """The job of a scene, of a shot's first frame. Raises SceneError for settings that cannot be.
+
+    `wait`: as of `raygrid.emulator.split.split`.
+    """
+    if scene.shot is not None:
+        from raygrid.host.shot_jobs import jobs_of
+
+        return next(jobs_of(scene, shape, settings, [1], wait))
     if len(scene.surfaces) == 0:
         raise SceneError(f"{scene.name}: the scene has no surfaces")
     if settings.split not in SPLITS:
@@ -76,12 +93,13 @@ def make_job(
     except SceneError as error:
         raise SceneError(f"{scene.name}: {error}") from None
     surfaces = world.surfaces(scene.surfaces)
-    frame = _frame(scene, world, settings)
+    frame = make_frame(scene, world, settings)
     space = split(settings.split, shape, world, surfaces, frame, wait)
     return Job(scene, world, space, surfaces, frame, settings)
 
 
-def _frame(scene: Scene, world: World, settings: Settings) -> Frame:
+def make_frame(scene: Scene, world: World, settings: Settings) -> Frame:
+    """The facts of a frame in machine coordinates. Raises SceneError for settings that cannot be."""
     width, height = _pair(_first(settings.size, scene.size, DEFAULT_SIZE))
     samples = _whole("samples a pixel", _first(settings.samples, scene.samples, 1))
     depth = _whole("depth", _first(settings.depth, scene.depth, DEFAULT_DEPTH))
@@ -99,7 +117,7 @@ def _frame(scene: Scene, world: World, settings: Settings) -> Frame:
     background = tuple(float(np.float32(value)) for value in scene.background)
     return Frame(
         _machine_camera(scene.camera.table(width, height), world),
-        material_table(materials),
+        _with_rules(material_table(materials), scene.rules),
         light_table(lights),
         len(lights),
         (background[0], background[1], background[2]),
@@ -110,6 +128,10 @@ def _frame(scene: Scene, world: World, settings: Settings) -> Frame:
         float(least),
         bool(np.any(lights["cos_disc"] <= 1.0)) if len(lights) else False,
     )
+
+
+def _with_rules(materials: NDArray[np.float64], rules: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    return materials if rules is None else np.ascontiguousarray(np.concatenate((materials, rules), axis=1))
 
 
 def _first(*choices: Any) -> Any:

@@ -34,6 +34,7 @@ class Talk:
         self._expected = 1
         self._begun = time.monotonic()
         self._told_compiling = False
+        self._of = ""
 
     def __enter__(self) -> Talk:
         if self._live:
@@ -107,6 +108,10 @@ class Talk:
             detail = f"{done} of {total}"
             self._bar.update(self._task, completed=done, total=total, description=what[:32], detail=detail)
 
+    def of(self, what: str) -> None:
+        """What the phases of a picture are of: "frame 3 of 48: "."""
+        self._of = what
+
     def expect(self, samples: int) -> None:
         """How many primary rays there will be, about."""
         self._expected = samples
@@ -114,7 +119,7 @@ class Talk:
     def watch(self, phase: str, now: Progress | None) -> None:
         """Told by `render_job`."""
         if now is None:
-            self.phase(PHASES[phase], self._expected if phase == "trace" else None)
+            self.phase(self._of + PHASES[phase], self._expected if phase == "trace" else None)
         elif self._bar is not None:
             spent = max(time.monotonic() - self._begun, 1e-3)
             detail = f"{sum(now.died) / spent / 1e6:.2f} M packets/s, {_left(self._part(now), spent)}"

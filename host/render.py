@@ -10,13 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.emulator.driver import BUDGET, Driver, Progress
+from raygrid.emulator.increments import is_held
 from raygrid.emulator.limits import read_memory
 from raygrid.host.job import Job, rays_enter
 from raygrid.host.picture import Picture
+from raygrid.host.scene_builder import plural
 from raygrid.host.stats import make_stats
-from raygrid.node.errors import ArrayError, Garbled, TooLarge
+from raygrid.node.errors import ArrayError, Garbled, SceneError, TooLarge
 from raygrid.node.lattice import LONGEST_STEP
 from raygrid.node.pixels import MAX_INTENSITY, UNIT
+from raygrid.node.surfaces import AddedKind
 
 MOST_BUDGET = (1 << 32) - 1  # a quota of primary rays travels as a u32
 PIXEL_BYTES = 96  # of one pixel in its home, in the sums collected, and while its picture is made
@@ -55,13 +58,29 @@ def render_job(
             watch("trace", now)
 
     if not loaded:
-        timed("load", lambda: driver.load(job.space, job.surfaces))
+        timed("load", lambda: _bring(driver, job))
     progress = timed("trace", lambda: driver.trace(job.frame, budget, tell, prices))
     sums, samples = timed("collect", lambda: driver.collect(job.pixels))
     add_misses(job, sums, samples)
     frame = job.frame
     stats = make_stats(job, driver, progress, seconds)
     return Picture(sums.reshape(frame.height, frame.width, 3), frame.samples, stats)
+
+
+def _bring(driver: Driver, job: Job) -> None:
+    """Let the nodes run the job's program and hold its surfaces: by an increment if they hold another frame of it."""
+    program = job.settings.program
+    programmed = job.surfaces.count(AddedKind.PROGRAMMED)
+    if programmed and (program is None or "surface_hits" not in program.hooks):
+        raise SceneError(
+            f"{job.scene.name}: {plural(programmed, 'surface')} of a program came, wanted a program with surface_hits"
+        )
+    if program != driver.program:
+        driver.load_program(program)
+    if is_held(driver.held, job.space, job.surfaces, job.moves) and job.moves is not None:
+        driver.move(job.moves)
+    else:
+        driver.load(job.space, job.surfaces, job.moves)
 
 
 def _check_memory(job: Job) -> None:
@@ -103,6 +122,12 @@ def add_misses(job: Job, sums: NDArray[np.int64], samples: NDArray[np.int64]) ->
     if np.any(missing < 0):
         raise Garbled(f"pixel {int(np.argmin(missing))} came with more samples than the {frame.samples} it has")
     _check_missing(job, missing)
+    program = job.settings.program
+    if program is not None and "background" in program.hooks:
+        from raygrid.host.program_file import for_host
+
+        for_host(program).add_missed(frame, job.space.step, sums)
+        return
     if frame.discs:
         from raygrid.node.misses import add_missed
 

@@ -7,14 +7,17 @@ about arrays of processors: coordinates are the scene's own, and data is float64
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.host.cameras import Camera
 from raygrid.node.frame import DIRECTIONAL
-from raygrid.node.surfaces import Kind, SurfaceSet
+from raygrid.node.surfaces import SURFACE_KINDS, SurfaceSet
+
+if TYPE_CHECKING:
+    from raygrid.host.shot import Shot
 
 Colour = tuple[float, float, float]
 
@@ -35,6 +38,8 @@ class Scene:
     min_weight  least weight of a ray that the file asks for, or None
     highlights  whether the materials' highlights are to be used
     remarks     one line each on what was dropped or invented
+    rules       numbers of materials for a program, float64 (m, tables.RULE_COLUMNS), None if none has any
+    shot        what changes from frame to frame, None if nothing does; surfaces are at rest then
     """
 
     name: str
@@ -49,11 +54,13 @@ class Scene:
     min_weight: float | None = None
     highlights: bool = False
     remarks: tuple[str, ...] = ()
+    rules: NDArray[np.float64] | None = None
+    shot: Shot | None = None
 
 
 def describe(scene: Scene) -> dict[str, Any]:
     """The facts of a scene as plain lists, numbers and strings, ready for JSON."""
-    counts = {kind.name.lower(): scene.surfaces.count(kind) for kind in Kind}
+    counts = {kind.name.lower(): scene.surfaces.count(kind) for kind in SURFACE_KINDS}
     return {
         "name": scene.name,
         "surfaces": {kind: count for kind, count in counts.items() if count},
@@ -70,6 +77,8 @@ def describe(scene: Scene) -> dict[str, Any]:
         "depth": scene.depth,
         "min_weight": scene.min_weight,
         "highlights": scene.highlights,
+        "frames": None if scene.shot is None else scene.shot.frames,
+        "groups": [] if scene.shot is None else list(scene.shot.names),
         "remarks": list(scene.remarks),
     }
 

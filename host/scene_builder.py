@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from raygrid.host.scene_polygons import (
     Ints,
+    extents,
     flat_polygons,
     flat_triangles,
     planar_polygons,
@@ -20,7 +21,7 @@ from raygrid.host.scene_polygons import (
 from raygrid.host.sources import look_at, recording
 from raygrid.node.errors import SceneError
 from raygrid.node.frame import MATERIAL
-from raygrid.node.surfaces import F64, MAX_MATERIALS, MAX_SURFACES, STRIDE, Batch, Kind, SurfaceSet, merge
+from raygrid.node.surfaces import F64, MAX_MATERIALS, MAX_SURFACES, STRIDE, AnyKind, Batch, Kind, SurfaceSet, merge
 
 Table = NDArray[np.void]
 
@@ -30,6 +31,8 @@ MAX_COORDINATE = 1e30
 # coordinates. Cells retain what comes within four times this (lattice.SLACK) of them: a polygon bent further could be
 # missed in one of them.
 MOST_BENT = 2.0**-19
+# Of polygons that will move and grow, by this part of their own extent: that may come to 4 in machine coordinates.
+MOST_BENT_MOVING = 2.0**-21
 
 
 def read_bytes(path: Path) -> bytes:
@@ -82,25 +85,36 @@ class SceneBuilder:
         """`where` begins every message: the file's path."""
         self.where = where
         self.remarks: list[str] = []
-        self._batches: list[tuple[Kind, F64, Ints, Ints, Ints]] = []  # kind, data, materials, order, starts
+        self._batches: list[tuple[AnyKind, F64, Ints, Ints, Ints]] = []  # kind, data, materials, order, starts
         self._materials: list[Table] = []
         self._baked: list[bool] = []
+        self._apart: list[bool] = []
+        self._moving: list[tuple[int, int]] = []  # order numbers, first and end
+        self.orders: Ints = np.zeros(0, np.int64)  # of each id, once finished
+        self.share: Ints = np.zeros(
+            0, np.int64
+        )  # of each material given its row of the table, -1: not used, once finished
         self._next = 0
         self._dropped = {"triangle": 0, "polygon": 0}
         self._bent = 0  # polygons that were not planar
         self._crossing = 0  # polygons that could be cut into triangles only by guess
 
-    def add_materials(self, rows: Table, baked: bool = False) -> int:
+    def add_materials(self, rows: Table, baked: bool = False, apart: bool = False) -> int:
         """Take materials, MATERIAL (m,); returns the number of the first. `baked`: from a texture's colours, so that
-        they may be rounded if there are too many."""
+        they may be rounded if there are too many. `apart`: they change, and are never one with equal ones."""
         if not all(np.isfinite(rows[name]).all() and (rows[name] >= 0.0).all() for name in MATERIAL.names or ()):
             raise SceneError(f"{self.where}: a material has a number that is not finite or below 0")
         first = sum(len(part) for part in self._materials)
         self._materials.append(rows)
         self._baked.append(baked)
+        self._apart.append(apart)
         return first
 
-    def add(self, kind: Kind, data: F64, materials: ArrayLike, order: Ints | None = None) -> None:
+    def let_move(self, first: int, end: int) -> None:
+        """Say that surfaces of order numbers first <= n < end move: their polygons must be flatter than others."""
+        self._moving.append((first, end))
+
+    def add(self, kind: AnyKind, data: F64, materials: ArrayLike, order: Ints | None = None) -> None:
         """Take surfaces of any kind but polygons: data (n, STRIDE[kind]), materials (n,) or one number for all."""
         if kind in (Kind.TRIANGLE, Kind.SMOOTH):
             keep = ~flat_triangles(self._checked(data)[:, :9].reshape(-1, 3, 3))
@@ -153,6 +167,7 @@ class SceneBuilder:
         ids = np.empty(len(order), np.uint32)
         ids[np.argsort(order, kind="stable")] = np.arange(len(order), dtype=np.uint32)
         table, share = self._shared_materials(remarks)
+        self.orders = np.sort(order, kind="stable")
         made, begin = [], 0
         for kind, data, materials, _, starts in self._batches:
             end = begin + (len(starts) - 1 if kind == Kind.POLYGON else len(data))
@@ -167,7 +182,11 @@ class SceneBuilder:
         self._batches = [batch for batch in batches if batch[0] != Kind.POLYGON]
         most = MOST_BENT * _half_extent(batches) if polygons else 0.0
         for kind, points, materials, order, starts in polygons:
-            bent = ~planar_polygons(points, starts, most)
+            limit = np.full(len(order), most)
+            for first, end in self._moving:
+                mine = (order >= first) & (order < end)
+                limit[mine] = np.minimum(limit, MOST_BENT_MOVING * extents(points, starts))[mine]
+            bent = ~planar_polygons(points, starts, limit)
             if not bent.any():
                 self._batches.append((kind, points, materials, order, starts))
                 continue
@@ -188,7 +207,7 @@ class SceneBuilder:
             remarks.append(f"{plural(self._crossing, 'polygon')} cut into triangles by guess, crossing its own edges")
         return remarks
 
-    def _take(self, kind: Kind, data: F64, materials: ArrayLike, order: Ints | None, n: int, starts: Ints) -> None:
+    def _take(self, kind: AnyKind, data: F64, materials: ArrayLike, order: Ints | None, n: int, starts: Ints) -> None:
         if order is None:
             order = np.arange(self._next, self._next + n)
         if n:
@@ -210,19 +229,22 @@ class SceneBuilder:
         used = np.zeros(len(rows), np.bool_)
         for batch in self._batches:
             used[batch[2]] = True
-        table, share = _distinct(rows, used)
+        apart = np.repeat(self._apart, [len(part) for part in self._materials]).astype(np.int64)
+        apart *= np.arange(1, len(rows) + 1)
+        table, share = _distinct(rows, used, apart)
         levels = 16
         while len(table) > MAX_MATERIALS and levels >= 2 and baked.any():
             rows["diffuse"][baked] = _rounded(rows["diffuse"][baked], levels)
-            table, share = _distinct(rows, used)
+            table, share = _distinct(rows, used, apart)
             remarks.append(f"too many colours in textures: rounded to {levels} levels of each primary")
             levels //= 2
         if len(table) > MAX_MATERIALS:
             raise SceneError(f"{self.where}: the file has {len(table)} materials, wanted at most {MAX_MATERIALS}")
+        self.share = np.where(used, share, -1)
         return table, share
 
 
-def _half_extent(batches: list[tuple[Kind, F64, Ints, Ints, Ints]]) -> float:
+def _half_extent(batches: list[tuple[AnyKind, F64, Ints, Ints, Ints]]) -> float:
     """Half of the longest edge of the box of all surfaces."""
     boxes = []
     for kind, data, _, order, starts in batches:
@@ -236,9 +258,14 @@ def _in_order(batch: Batch) -> Batch:
     return batch if (batch.ids[:-1] < batch.ids[1:]).all() else batch.select(np.argsort(batch.ids))
 
 
-def _distinct(rows: Table, used: NDArray[np.bool_]) -> tuple[Table, Ints]:
-    """The distinct rows among the used ones in order of first appearance, and where each row went (unused ones: 0)."""
-    keys = np.ascontiguousarray(rows[used]).view(np.dtype((np.void, MATERIAL.itemsize))).reshape(-1)
+def _distinct(rows: Table, used: NDArray[np.bool_], apart: Ints) -> tuple[Table, Ints]:
+    """The distinct rows among the used ones in order of first appearance, and where each row went (unused ones: 0).
+
+    Rows are equal only if their numbers in `apart` are, too.
+    """
+    parts = [np.ascontiguousarray(rows[used]).view((np.uint8, MATERIAL.itemsize)), apart[used].view((np.uint8, 8))]
+    joined = np.concatenate([part.reshape(int(used.sum()), -1) for part in parts], axis=1)
+    keys = np.ascontiguousarray(joined).view(np.dtype((np.void, joined.shape[1]))).reshape(-1)
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
     place = np.empty(len(first), np.int64)
     place[np.argsort(first)] = np.arange(len(first))

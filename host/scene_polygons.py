@@ -50,9 +50,9 @@ def flat_polygons(points: F64, starts: Ints) -> Mask:
     return np.asarray(doubled <= NO_AREA * extents(points, starts) ** 2)
 
 
-def planar_polygons(points: F64, starts: Ints, most: float = np.inf) -> Mask:
+def planar_polygons(points: F64, starts: Ints, most: float | F64 = np.inf) -> Mask:
     """Which of the polygons lie in a plane, (n,): to FLATNESS of their extent plus their largest coordinate, and to
-    `most`, in units of the points, however far from the origin they are."""
+    `most`, in units of the points, of all or of each, however far from the origin they are."""
     if len(starts) < 2:
         return np.zeros(0, np.bool_)
     sizes = np.diff(starts)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass, replace
 from functools import lru_cache
 from importlib.metadata import version
@@ -12,6 +11,7 @@ from importlib.metadata import version
 from raygrid.host.job import Job, Settings, make_job, samples_expected
 from raygrid.host.load import load_scene
 from raygrid.host.scene import Scene
+from raygrid.host.shot_jobs import ShotJobs
 from raygrid.host.sources import Sources, recorded
 
 MOST_KEPT = 4  # scenes and settings
@@ -48,16 +48,6 @@ def _version() -> str:
     return version("raygrid")
 
 
-def jobs_of(scene: Scene, settings: Settings, shape: Shape, frames: Sequence[int]) -> Iterator[tuple[int, Job]]:
-    """The frames of a scene, each ready for an array. A scene that does not move is the same in all of them.
-
-    Raises SceneError.
-    """
-    job = make_job(scene, shape, settings)
-    for frame in frames:
-        yield frame, job
-
-
 class SceneStore:
     """The scenes used last, for an array of one shape. For use by one thread."""
 
@@ -65,6 +55,7 @@ class SceneStore:
         self._shape = shape
         self._scenes: OrderedDict[str, tuple[Sources, Scene]] = OrderedDict()
         self._ready: OrderedDict[tuple[str, Settings], tuple[Scene, Ready]] = OrderedDict()
+        self._shots: OrderedDict[tuple[str, Settings], tuple[Scene, ShotJobs]] = OrderedDict()
 
     def scene(self, path: str) -> tuple[Sources, Scene]:
         """The scene of a file as it is now, and what it was read from. Raises SceneError."""
@@ -82,14 +73,29 @@ class SceneStore:
         """A frame of the scene as its files are now. Raises SceneError."""
         sources, scene = self.scene(path)
         key = path, settings
+        if scene.shot is not None:
+            return self._shot_frame(scene, sources, key, frame)
         kept = self._ready.pop(key, None)
         if kept is None or kept[0] is not scene:
-            ((_, job),) = jobs_of(scene, settings, self._shape, [frame])
+            job = make_job(scene, self._shape, settings)
             kept = scene, Ready(job, _digest_of_load(job), sources.digest(), samples_expected(job))
         self._ready[key] = kept
         while len(self._ready) > MOST_KEPT:
             self._ready.popitem(last=False)
         return kept[1]
+
+    def _shot_frame(self, scene: Scene, sources: Sources, key: tuple[str, Settings], frame: int) -> Ready:
+        """A frame of a scene that moves: its jobs share what an array needs to go from one to the next by increments."""
+        assert scene.shot is not None
+        kept = self._shots.pop(key, None)
+        if kept is None or kept[0] is not scene:
+            kept = scene, ShotJobs(scene, self._shape, key[1], (scene.shot.frames + 1) // 2)
+        self._shots[key] = kept
+        while len(self._shots) > MOST_KEPT:
+            self._shots.popitem(last=False)
+        job = kept[1].job(frame)
+        # never the same as before: whether the array holds it is for the driver to know (`Driver.held`)
+        return Ready(job, f"{_digest_of_load(job)} frame {frame}", sources.digest(), samples_expected(job))
 
 
 def _digest_of_load(job: Job) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from raygrid.host.scene_builder import shown
-from raygrid.host.scenefile_schema import TABLES, SceneFile
+from raygrid.host.scenefile_schema import KEYS, TABLES, SceneFile
 from raygrid.node.errors import SceneError
 
 Key = tuple[str | int, ...]
@@ -38,7 +38,8 @@ def _sentence(path: Path, text: str, tables: dict[str, Any], fault: Any) -> str:
     if kind == "missing":
         return f"{where}: {name} is missing"
     if kind == "extra_forbidden":
-        model = TABLES.get(tag or str(key[0]), SceneFile) if len(key) > 1 else SceneFile
+        tables_of = KEYS if "keys" in key[:-1] else TABLES
+        model = tables_of.get(tag or str(key[0]), SceneFile) if len(key) > 1 else SceneFile
         return f"{where}: the key {name} is unknown, wanted one of: {', '.join(_keys(model))}"
     if kind.startswith("union_tag"):
         kinds = [word.strip("' ") for word in fault["ctx"].get("expected_tags", "").split(",")] or ["kind"]
@@ -91,6 +92,19 @@ def shown_key(key: Key) -> str:
     return text.removeprefix(".")
 
 
+def _named(name: str, is_list: bool, counts: dict[Key, int]) -> Key:
+    """The path of a header: tables of a list are numbered, and within them their latest table is meant."""
+    path: Key = ()
+    parts = name.split(".")
+    for depth, part in enumerate(parts, 1):
+        path = (*path, part.strip(" \"'"))
+        if is_list and depth == len(parts):
+            counts[path] = counts.get(path, -1) + 1
+        if path in counts:
+            path = (*path, counts[path])
+    return path
+
+
 def line_of(text: str, key: Key) -> int | None:
     """The line on which a key, or the innermost table around it, stands; None if it cannot be found.
 
@@ -98,17 +112,12 @@ def line_of(text: str, key: Key) -> int | None:
     several lines is attributed to where they begin.
     """
     lines: dict[Key, int] = {}
-    counts: dict[str, int] = {}
+    counts: dict[Key, int] = {}
     table: Key = ()
     for number, line in enumerate(text.splitlines(), 1):
         header, assignment = HEADER.match(line), ASSIGNMENT.match(line)
         if header and not assignment:
-            name = header[2]
-            if header[1]:
-                counts[name] = counts.get(name, -1) + 1
-                table = (name, counts[name])
-            else:
-                table = tuple(part.strip(" \"'") for part in name.split("."))
+            table = _named(header[2], bool(header[1]), counts)
             lines.setdefault(table, number)
             lines.setdefault(table[:1], number)
         elif assignment:

@@ -7,8 +7,11 @@ wanted; only the first is told, since the others are often its consequences.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import tomllib
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +20,7 @@ from numpy.typing import NDArray
 from raygrid.host import scenefile_schema as schema
 from raygrid.host.cameras import DEFAULT_FOV, Camera, orthographic_camera, perspective_camera
 from raygrid.host.load import load_scene
+from raygrid.host.rig import Rig, keyed
 from raygrid.host.scene import Scene
 from raygrid.host.scene_builder import SceneBuilder, material, read_bytes, shown
 from raygrid.host.scene_finish import NO_CAMERA, NO_LIGHT, UNLIT, finish_scene
@@ -24,8 +28,11 @@ from raygrid.host.scene_lights import Table, directional_light, light_table, poi
 from raygrid.host.scene_mtl import GREY
 from raygrid.host.scene_toml_errors import Key, checked, located, shown_key
 from raygrid.host.scene_transform import moved, placement
+from raygrid.host.shot import Shot, quaternion
 from raygrid.node.errors import SceneError
-from raygrid.node.surfaces import F64, Kind
+from raygrid.node.motions import Groups, make_groups
+from raygrid.node.surfaces import F64, NUMBERS, AddedKind, Kind
+from raygrid.node.tables import RULE_COLUMNS
 
 SOFT_EDGE = 0.8  # a spot's full light reaches this part of the way to its rim unless the file says otherwise
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
@@ -50,23 +57,27 @@ class _Reader:
         self.builder = SceneBuilder(str(path))
         self.materials = {name: self._add_material(m) for name, m in file.materials.items()}
         self.grey: int | None = None
+        self.moving: list[tuple[int, int, str]] = []  # order numbers, first and end, and their group
 
     def scene(self) -> Scene:
         file, base = self.file, self._included()
         for number, surface in enumerate(file.surfaces):
-            self._add_surface(surface, ("surfaces", number))
+            with self._in_group(surface.group, ("surfaces", number)):
+                self._add_surface(surface, ("surfaces", number))
         for number, mesh in enumerate(file.meshes):
-            self._add_mesh(mesh, ("meshes", number))
+            with self._in_group(mesh.group, ("meshes", number)):
+                self._add_mesh(mesh, ("meshes", number))
         image = file.image or schema.Image()
         size = base.size if base else None
         if image.width is not None and image.height is not None:
             size = (image.width, image.height)
         background = file.background or (base.background if base else (0.0, 0.0, 0.0))
-        return finish_scene(
+        first_lights = light_table([base.lights] if base else [])
+        scene = finish_scene(
             self.builder,
             self.path,
             camera=self._camera(base),
-            lights=light_table([*([base.lights] if base else []), *map(_light, file.lights)]),
+            lights=light_table([first_lights, *map(_light, file.lights)]),
             background=background,
             highlights=True if file.highlights is None else file.highlights,
             size=size,
@@ -74,6 +85,85 @@ class _Reader:
             depth=image.depth,
             min_weight=image.min_weight,
         )
+        return replace(scene, rules=self._rules(len(scene.materials)), shot=self._shot(scene, first_lights))
+
+    def _rules(self, materials: int) -> F64 | None:
+        """The numbers that materials have for a program; None if none has any."""
+        if not any(m.rule is not None for m in self.file.materials.values()):
+            return None
+        rules = np.zeros((materials, RULE_COLUMNS))
+        for name, m in self.file.materials.items():
+            row = int(self.builder.share[self.materials[name]])
+            if m.rule is not None and row >= 0:
+                rules[row, 0], rules[row, 1 : 1 + len(m.rule)] = 1.0, m.rule
+        return rules
+
+    def _shot(self, scene: Scene, first_lights: Table) -> Shot | None:
+        """What changes; None if nothing does."""
+        file, table = self.file, self.file.shot or schema.ShotTable()
+        holders = [
+            *file.groups.values(),
+            *([file.camera] if file.camera else []),
+            *file.lights,
+            *file.materials.values(),
+        ]
+        last = max((key.frame for holder in holders for key in holder.keys), default=0)
+        if table.frames is None and last == 0:
+            return None
+        names, way = tuple(file.groups), table.interpolation
+        rig = Rig(
+            scene,
+            tuple(keyed(schema.Motion(), g.keys, g.interpolation or way) for g in file.groups.values()),
+            tuple(g.pivot for g in file.groups.values()),
+            tuple(self._parent(name) for name in names),
+            None if file.camera is None else keyed(file.camera, file.camera.keys, way),
+            first_lights,
+            tuple(keyed(light, light.keys, way) for light in file.lights),
+            tuple(
+                (int(self.builder.share[self.materials[name]]), keyed(m, m.keys, way))
+                for name, m in file.materials.items()
+                if m.keys and self.builder.share[self.materials[name]] >= 0
+            ),
+            self._camera_of,
+            _light,
+            _material,
+        )
+        return Shot(table.frames or last, names, self._groups(names), rig.pose, table.fps)
+
+    def _groups(self, names: tuple[str, ...]) -> Groups:
+        """Which surfaces are in which group."""
+        orders = self.builder.orders
+        ids, numbers = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
+        for first, end, name in self.moving:
+            ids.append(np.flatnonzero((orders >= first) & (orders < end)))
+            numbers.append(np.full(len(ids[-1]), names.index(name)))
+        return make_groups(np.concatenate(ids), np.concatenate(numbers), len(names))
+
+    def _parent(self, name: str) -> int:
+        """The number of a group's parent, -1 for none. Raises SceneError for an unknown one, and for a circle."""
+        groups = self.file.groups
+        seen, at = [name], groups[name].parent
+        while at is not None:
+            if at not in groups:
+                raise self._error(("groups", seen[-1], "parent"), f"is {shown(at)}, wanted one of: {', '.join(groups)}")
+            if at in seen:
+                raise self._error(("groups", name, "parent"), f"leads back to {shown(at)}, wanted no circle of parents")
+            seen.append(at)
+            at = groups[at].parent
+        parent = groups[name].parent
+        return -1 if parent is None else list(groups).index(parent)
+
+    @contextlib.contextmanager
+    def _in_group(self, name: str | None, key: Key) -> Iterator[None]:
+        """What is added within moves with a group."""
+        if name is not None and name not in self.file.groups:
+            known = ", ".join(self.file.groups) or "none, as the file has no [groups]"
+            raise self._error((*key, "group"), f"is {shown(name)}, wanted one of: {known}")
+        first = self.builder.next_order
+        yield
+        if name is not None:
+            self.builder.let_move(first, self.builder.next_order)
+            self.moving.append((first, self.builder.next_order, name))
 
     def _error(self, key: Key, message: str) -> SceneError:
         return SceneError(f"{located(self.path, self.text, key)}: {shown_key(key)} {message}")
@@ -92,9 +182,7 @@ class _Reader:
         return base
 
     def _add_material(self, m: schema.Material) -> int:
-        return self.builder.add_materials(
-            material(np.multiply(m.colour, m.diffuse), m.highlight, m.shine, m.specular, m.transmission, m.ior)
-        )
+        return self.builder.add_materials(_material(m), apart=bool(m.keys) or m.rule is not None)
 
     def _material(self, name: str | None, key: Key) -> int:
         if name is not None:
@@ -114,6 +202,10 @@ class _Reader:
             self.builder.add_polygons(polygons.reshape(-1, 3), starts, number)
         elif isinstance(surface, schema.Sphere):
             self.builder.add(Kind.SPHERE, np.array([[*surface.centre, surface.radius]]), number)
+        elif isinstance(surface, schema.ProgramSurface):
+            numbers = [*surface.numbers, *[0.0] * (NUMBERS - len(surface.numbers))]
+            row = [*quaternion(surface.rotate), surface.scale, *surface.centre, *surface.half, *numbers]
+            self.builder.add(AddedKind.PROGRAMMED, np.array([row]), number)
         elif isinstance(surface, schema.Triangle):
             corners = np.array([*surface.points, *(surface.normals or ())])
             self.builder.add(Kind.SMOOTH if surface.normals else Kind.TRIANGLE, corners.reshape(1, -1), number)
@@ -165,11 +257,19 @@ class _Reader:
         if c is None:
             return base.camera if base else None
         try:
-            if c.orthographic is not None:
-                return orthographic_camera(c.eye, c.at, c.up, c.orthographic)
-            return perspective_camera(c.eye, c.at, c.up, DEFAULT_FOV if c.fov is None else c.fov)
+            return self._camera_of(c)
         except SceneError as error:
             raise self._error(("camera",), f"shows nothing: {error}") from None
+
+    @staticmethod
+    def _camera_of(c: schema.Camera) -> Camera:
+        if c.orthographic is not None:
+            return orthographic_camera(c.eye, c.at, c.up, c.orthographic)
+        return perspective_camera(c.eye, c.at, c.up, DEFAULT_FOV if c.fov is None else c.fov)
+
+
+def _material(m: schema.Material) -> Table:
+    return material(np.multiply(m.colour, m.diffuse), m.highlight, m.shine, m.specular, m.transmission, m.ior)
 
 
 def _light(light: schema.Light) -> Table:

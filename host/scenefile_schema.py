@@ -5,6 +5,7 @@ Unknown keys are refused: a misspelt one would otherwise be a silent default. Nu
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -22,6 +23,7 @@ from raygrid.host.scene_builder import MAX_COORDINATE
 
 MAX_SIDE = 65_535  # pixels
 MAX_DEPTH = 31  # five bits of a packet hold the depth
+MAX_FRAME = 1_000_000
 
 
 def _tripled(value: Any) -> Any:
@@ -64,6 +66,24 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
 
+class Key(Table):
+    """A table of a list named `keys`: values at a frame."""
+
+    frame: Annotated[Whole, Field(ge=1, le=MAX_FRAME)]
+
+
+def _ascending(keys: list[Key]) -> list[Key]:
+    for number, (one, other) in enumerate(pairwise(keys), 1):
+        if other.frame <= one.frame:
+            raise ValueError(
+                f"Input should be keys in ascending order of frames, key {number} is at {other.frame} after {one.frame}"
+            )
+    return keys
+
+
+Way = Literal["linear", "smooth"]
+
+
 class Image(Table):
     """[image]"""
 
@@ -80,6 +100,49 @@ class Image(Table):
         return self
 
 
+class ShotTable(Table):
+    """[shot]"""
+
+    frames: Annotated[Whole, Field(ge=1, le=MAX_FRAME)] | None = None
+    fps: Annotated[float, Strict(), Field(gt=0.0, le=1000.0)] = 24.0
+    interpolation: Way = "linear"
+
+
+class Motion(Table):
+    """What the keys of a group change."""
+
+    translate: Point = (0.0, 0.0, 0.0)
+    rotate: Point = (0.0, 0.0, 0.0)
+    scale: Above0 = 1.0
+
+
+class GroupKey(Key):
+    """[[groups.NAME.keys]]"""
+
+    translate: Point | None = None
+    rotate: Point | None = None
+    scale: Above0 | None = None
+
+
+class Group(Table):
+    """[groups.NAME]"""
+
+    parent: Text | None = None
+    pivot: Point = (0.0, 0.0, 0.0)
+    interpolation: Way | None = None
+    keys: Annotated[list[GroupKey], AfterValidator(_ascending)] = Field(default_factory=list)
+
+
+class CameraKey(Key):
+    """[[camera.keys]]"""
+
+    eye: Point | None = Field(default=None, validation_alias=AliasChoices("from", "eye"))
+    at: Point | None = None
+    up: Direction | None = None
+    fov: Annotated[float, Strict(), Field(gt=0.0, lt=180.0)] | None = None
+    orthographic: Above0 | None = None
+
+
 class Camera(Table):
     """[camera]"""
 
@@ -88,12 +151,28 @@ class Camera(Table):
     up: Direction = (0.0, 1.0, 0.0)
     fov: Annotated[float, Strict(), Field(gt=0.0, lt=180.0)] | None = None
     orthographic: Above0 | None = None
+    keys: Annotated[list[CameraKey], AfterValidator(_ascending)] = Field(default_factory=list)
 
     @model_validator(mode="after")
     def _one_view(self) -> Camera:
-        if self.fov is not None and self.orthographic is not None:
+        named = {
+            name for table in (self, *self.keys) for name in ("fov", "orthographic") if getattr(table, name) is not None
+        }
+        if len(named) == 2:
             raise ValueError("Input should be either fov or orthographic, not both")
         return self
+
+
+class MaterialKey(Key):
+    """[[materials.NAME.keys]]"""
+
+    colour: Colour | None = Field(default=None, validation_alias=AliasChoices("colour", "color"))
+    diffuse: Weight | None = None
+    highlight: Weight | None = None
+    shine: NotBelow0 | None = None
+    specular: Weight | None = None
+    transmission: Weight | None = None
+    ior: Above0 | None = None
 
 
 class Material(Table):
@@ -106,12 +185,40 @@ class Material(Table):
     specular: Weight = (0.0, 0.0, 0.0)
     transmission: Weight = (0.0, 0.0, 0.0)
     ior: Above0 = 1.5
+    rule: Annotated[list[Number], Field(max_length=8)] | None = None
+    keys: Annotated[list[MaterialKey], AfterValidator(_ascending)] = Field(default_factory=list)
+
+
+class LightKey(Key):
+    """[[lights.keys]]"""
+
+    intensity: NotBelow0 | None = None
+    colour: Colour | None = Field(default=None, validation_alias=AliasChoices("colour", "color"))
+
+
+class PointKey(LightKey):
+    """[[lights.keys]] of a point light"""
+
+    position: Point | None = None
+
+
+class SpotKey(PointKey):
+    """[[lights.keys]] of a spot light"""
+
+    at: Point | None = None
+
+
+class DirectionalKey(LightKey):
+    """[[lights.keys]] of a directional light"""
+
+    towards: Direction | None = None
 
 
 class PointLight(Table):
     """[[lights]] of kind point"""
 
     kind: Literal["point"]
+    keys: Annotated[list[PointKey], AfterValidator(_ascending)] = Field(default_factory=list)
     position: Point
     intensity: NotBelow0 = 1.0
     colour: Colour = COLOUR
@@ -122,6 +229,7 @@ class SpotLight(Table):
     """[[lights]] of kind spot; the angles are measured from the axis."""
 
     kind: Literal["spot"]
+    keys: Annotated[list[SpotKey], AfterValidator(_ascending)] = Field(default_factory=list)
     position: Point
     at: Point
     intensity: NotBelow0 = 1.0
@@ -143,6 +251,7 @@ class DirectionalLight(Table):
     """[[lights]] of kind directional"""
 
     kind: Literal["directional"]
+    keys: Annotated[list[DirectionalKey], AfterValidator(_ascending)] = Field(default_factory=list)
     towards: Direction
     intensity: NotBelow0 = 1.0
     colour: Colour = COLOUR
@@ -155,6 +264,7 @@ class Sphere(Table):
 
     kind: Literal["sphere"]
     material: Text | None = None
+    group: Text | None = None
     centre: Point = Field(validation_alias=AliasChoices("centre", "center"))
     radius: NotZero
 
@@ -164,6 +274,7 @@ class Cylinder(Table):
 
     kind: Literal["cylinder"]
     material: Text | None = None
+    group: Text | None = None
     base: Point
     top: Point
     radius: NotZero
@@ -174,6 +285,7 @@ class Cone(Table):
 
     kind: Literal["cone"]
     material: Text | None = None
+    group: Text | None = None
     base: Point
     base_radius: Number
     apex: Point
@@ -185,6 +297,7 @@ class Triangle(Table):
 
     kind: Literal["triangle"]
     material: Text | None = None
+    group: Text | None = None
     points: tuple[Point, Point, Point]
     normals: tuple[Direction, Direction, Direction] | None = None
 
@@ -194,6 +307,7 @@ class Polygon(Table):
 
     kind: Literal["polygon"]
     material: Text | None = None
+    group: Text | None = None
     points: Annotated[list[Point], Field(min_length=3)]
 
 
@@ -202,6 +316,7 @@ class Box(Table):
 
     kind: Literal["box"]
     material: Text | None = None
+    group: Text | None = None
     low: Point
     high: Point
 
@@ -212,18 +327,32 @@ class Box(Table):
         return self
 
 
+class ProgramSurface(Table):
+    """[[surfaces]] of kind program: what the program makes of its numbers, in a box"""
+
+    kind: Literal["program"]
+    material: Text | None = None
+    group: Text | None = None
+    centre: Point = Field(validation_alias=AliasChoices("centre", "center"))
+    half: tuple[Above0, Above0, Above0]
+    scale: Above0 = 1.0
+    rotate: Point = (0.0, 0.0, 0.0)
+    numbers: Annotated[list[Number], Field(max_length=8)] = Field(default_factory=list)
+
+
 class Mesh(Table):
     """[[meshes]]: the surfaces of another file"""
 
     file: Text
     material: Text | None = None
+    group: Text | None = None
     scale: Scale = WHITE
     rotate: Point = (0.0, 0.0, 0.0)
     translate: Point = (0.0, 0.0, 0.0)
 
 
 Light = Annotated[PointLight | SpotLight | DirectionalLight, Field(discriminator="kind")]
-Surface = Annotated[Sphere | Cylinder | Cone | Triangle | Polygon | Box, Field(discriminator="kind")]
+Surface = Annotated[Sphere | Cylinder | Cone | Triangle | Polygon | Box | ProgramSurface, Field(discriminator="kind")]
 
 
 class SceneFile(Table):
@@ -234,6 +363,8 @@ class SceneFile(Table):
     highlights: Flag | None = None
     image: Image | None = None
     camera: Camera | None = None
+    shot: ShotTable | None = None
+    groups: dict[str, Group] = Field(default_factory=dict)
     materials: dict[str, Material] = Field(default_factory=dict)
     lights: list[Light] = Field(default_factory=list)
     surfaces: list[Surface] = Field(default_factory=list)
@@ -242,6 +373,8 @@ class SceneFile(Table):
 
 TABLES: dict[str, type[Table]] = {
     "image": Image,
+    "shot": ShotTable,
+    "groups": Group,
     "camera": Camera,
     "materials": Material,
     "meshes": Mesh,
@@ -254,5 +387,16 @@ TABLES: dict[str, type[Table]] = {
     "triangle": Triangle,
     "polygon": Polygon,
     "box": Box,
+    "program": ProgramSurface,
 }
 """The model of each table, by its name or its kind: for telling which keys it has."""
+
+KEYS: dict[str, type[Key]] = {
+    "groups": GroupKey,
+    "camera": CameraKey,
+    "materials": MaterialKey,
+    "point": PointKey,
+    "spot": SpotKey,
+    "directional": DirectionalKey,
+}
+"""The model of a table's list of keys, likewise."""

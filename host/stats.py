@@ -36,6 +36,8 @@ def make_stats(job: Job, driver: Driver, progress: Progress, seconds: dict[str, 
     stats = {
         "version": VERSION,
         "scene": job.scene.name,
+        "frame": job.number,
+        "program": None if job.settings.program is None else job.settings.program.name,
         "surfaces": len(job.surfaces),
         "array": list(driver.shape),
         "split": job.settings.split,

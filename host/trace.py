@@ -11,7 +11,7 @@ from raygrid.emulator.provenance import Provenance, Ray, Sample
 from raygrid.host.job import Job
 from raygrid.node.frame import DIRECTIONAL
 from raygrid.node.pixels import UNIT
-from raygrid.node.surfaces import Kind
+from raygrid.node.surfaces import AnyKind
 
 VERSION = 1
 SHADOW = "shadow"
@@ -45,7 +45,7 @@ class _Trees:
 
     def __init__(self, job: Job) -> None:
         self._world, self._lights = job.world, job.scene.lights
-        self._kinds: dict[int, Kind] = {}
+        self._kinds: dict[int, AnyKind] = {}
         self._surfaces = job.surfaces
 
     def sample(self, sample: Sample) -> dict[str, Any]:
@@ -93,7 +93,7 @@ class _Trees:
         there: list[float] = (np.array(point) / self._world.scale + self._world.centre).tolist()
         return there
 
-    def _kind(self, surface: int) -> Kind:
+    def _kind(self, surface: int) -> AnyKind:
         if surface not in self._kinds:
             (kind,) = (batch.kind for batch in self._surfaces if np.any(batch.ids == surface))
             self._kinds[surface] = kind

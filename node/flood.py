@@ -1,4 +1,4 @@
-"""Flooding: which surface descriptions a node retains and to which neighbours it hands them on.
+"""Flooding: to which neighbours a node hands surface descriptions on.
 
 A description enters at one corner and runs along the dimension-ordered tree of that corner: along x in the
 corner's row, from there along y, from there along z, always away from the corner. So each cell is reached on
@@ -14,8 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .lattice import HALF, Cell, Space
-from .overlap import meets
-from .surfaces import Batch
 
 
 class Branch(NamedTuple):
@@ -48,14 +46,15 @@ def branches(corner: int, space: Space, cell: Cell) -> list[Branch]:
         away = -1 if corner >> axis & 1 else 1
         onward = cell.index[axis] + away
         if 0 <= onward < space.shape[axis]:
-            found.append(_branch(axis, away, space, cell))
+            found.append(port_box(2 * axis + (away > 0), space, cell))
         if cell.index[axis] != origin[axis]:
             break  # the description has turned into this axis; lower axes were done before
     return found
 
 
-def _branch(axis: int, away: int, space: Space, cell: Cell) -> Branch:
-    """Cells on from this one along `axis`, at the same place on lower axes, anywhere on higher ones."""
+def port_box(port: int, space: Space, cell: Cell) -> Branch:
+    """Cells on from this one behind a port of axis a, at the same place on axes below a, anywhere on those above."""
+    axis, away = port >> 1, 1 if port & 1 else -1
     low, high = np.empty(3), np.empty(3)
     for other in range(3):
         first, last = cell.index[other], cell.index[other]
@@ -65,12 +64,7 @@ def _branch(axis: int, away: int, space: Space, cell: Cell) -> Branch:
             first, last = (first + 1, space.shape[axis] - 1) if away > 0 else (0, last - 1)
         low[other] = (space.planes[other, first] - HALF) * space.step[other]
         high[other] = (space.planes[other, last + 1] - HALF) * space.step[other]
-    return Branch(2 * axis + (away > 0), low, high)
-
-
-def own_part(batch: Batch, boxes: NDArray[np.float64], cell: Cell) -> Batch:
-    """The descriptions that this cell retains."""
-    return batch.select(meets(batch, np.array(cell.low_at), np.array(cell.high_at), boxes))
+    return Branch(port, low, high)
 
 
 def tree_parent(index: tuple[int, int, int]) -> int | None:

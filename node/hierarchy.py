@@ -284,14 +284,14 @@ def build(
         kind[single] = kinds[order[firsts[single]]]
     cuts = np.empty((size, WIDE + 1), np.uint8)
     _plan(areas, left, counts, kind, cuts)
-    nodes = _aligned(items)
+    nodes = aligned(items)
     made = _wide(boxes, order, left, firsts, counts, cuts, nodes, nodes.view(np.uint32))
-    kept = _aligned(made)
+    kept = aligned(made)
     kept[:] = nodes[:made]
     return order, kept
 
 
-def _aligned(nodes: int) -> NDArray[np.float32]:
+def aligned(nodes: int) -> NDArray[np.float32]:
     """Room for nodes that begin at a cache line, so that no row of planes lies in two."""
     room = np.empty((nodes + 1) * WORDS, np.float32)
     first = -(room.ctypes.data // room.itemsize) % (64 // room.itemsize)

@@ -32,8 +32,10 @@ from .intersect import (
     POLY_DROP,
 )
 from .lattice import SLACK, Cell
-from .surfaces import STORED_AS, STRIDE, Batch, Kind, SurfaceSet
+from .refit import refitted
+from .surfaces import STORED_AS, STRIDE, AddedKind, AnyKind, Batch, Kind, SurfaceSet
 from .tables import KIND_SHIFT, Surfaces
+from .turning import turns
 
 F64 = NDArray[np.float64]
 MOST_BINS = 1024  # strips of a polygon's height
@@ -161,16 +163,39 @@ def build_surfaces(retained: SurfaceSet, cell: Cell) -> Surfaces:
     batches = [batch for batch in retained if len(batch)]
     if not batches:
         return empty_surfaces()
+    return _assembled(batches, *build(_boxes(batches, cell), _kinds(batches)))
+
+
+def refit_surfaces(retained: SurfaceSet, cell: Cell, before: Surfaces) -> Surfaces | None:
+    """The tables with the tree that a node had `before` for the same surfaces; None if they are not the same."""
+    batches = [batch for batch in retained if len(batch)]
+    ids = np.concatenate([np.zeros(0, np.uint32), *(batch.ids for batch in batches)])
+    sorter = np.argsort(ids)
+    if len(ids) == 0 or not np.array_equal(ids[sorter], np.sort(before.ids)):
+        return None
+    order = sorter[np.searchsorted(ids[sorter], before.ids)]
+    return _assembled(batches, order, refitted(before.floats, _boxes(batches, cell)[order]))
+
+
+def _boxes(batches: list[Batch], cell: Cell) -> F64:
+    """The boxes of all surfaces, cut to the cell, float64 (n, 2, 3)."""
     boxes = np.concatenate([batch.bounds() for batch in batches])
     boxes[:, 0] = np.maximum(boxes[:, 0], np.array(cell.low_at) - 2 * SLACK)
     boxes[:, 1] = np.minimum(boxes[:, 1], np.array(cell.high_at) + 2 * SLACK)
     boxes[:, 0] = np.minimum(boxes[:, 0], boxes[:, 1])
-    kinds = np.repeat(np.array([batch.kind for batch in batches], np.int8), [len(batch) for batch in batches])
-    order, floats = build(boxes, kinds)
+    return boxes
+
+
+def _kinds(batches: list[Batch]) -> NDArray[np.int8]:
+    return np.repeat(np.array([batch.kind for batch in batches], np.int8), [len(batch) for batch in batches])
+
+
+def _assembled(batches: list[Batch], order: NDArray[np.intp], floats: NDArray[np.float32]) -> Surfaces:
+    """The tables of surfaces, in the order of a tree's leaves."""
     rows = np.concatenate([np.arange(len(batch)) for batch in batches])[order]
-    kinds = kinds[order]
+    kinds = _kinds(batches)[order]
     items = kinds.astype(np.uint32) << np.uint32(KIND_SHIFT)
-    held: dict[Kind, Batch] = {}
+    held: dict[AnyKind, Batch] = {}
     for batch in batches:
         mine = kinds == batch.kind
         held[batch.kind] = batch.select(rows[mine])  # in leaf order
@@ -193,10 +218,10 @@ def empty_surfaces() -> Surfaces:
     return Surfaces(floats, floats.view(np.uint32), numbers, numbers, np.zeros(0, np.uint16), *_tables({}))
 
 
-def _tables(held: dict[Kind, Batch]) -> tuple[Any, ...]:
+def _tables(held: dict[AnyKind, Batch]) -> tuple[Any, ...]:
     """The fields of `Surfaces` from `triangles` on."""
 
-    def data(kind: Kind) -> NDArray[np.floating]:
+    def data(kind: AnyKind) -> NDArray[np.floating]:
         if kind not in held:
             return np.zeros((0, STRIDE[kind]), STORED_AS[kind])
         return np.ascontiguousarray(held[kind].data, STORED_AS[kind])
@@ -209,4 +234,11 @@ def _tables(held: dict[Kind, Batch]) -> tuple[Any, ...]:
         data(Kind.SPHERE),
         cones,
         *polygon_tables(data(Kind.POLYGON).astype(np.float64), starts),
+        programmed_table(data(AddedKind.PROGRAMMED).astype(np.float64)),
     )
+
+
+def programmed_table(data: F64) -> F64:
+    """Columns of programmed surfaces, float64 (n, OWN_COLUMNS), from their numbers."""
+    matrices = turns(data[:, :4]).reshape(-1, 9)
+    return np.ascontiguousarray(np.concatenate((matrices, data[:, 4:]), axis=1))

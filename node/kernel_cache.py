@@ -69,6 +69,22 @@ DIRECTORY = _directory()
 
 
 @contextlib.contextmanager
+def apart(name: str) -> Iterator[str]:
+    """Functions decorated within are cached in a directory of this name in DIRECTORY. Raises OSError if it cannot be."""
+    global DIRECTORY
+    before = DIRECTORY
+    if before is None:
+        raise OSError("there is no directory for compiled code")
+    inner = Path(before) / name
+    inner.mkdir(mode=0o700, exist_ok=True)
+    DIRECTORY = str(inner)
+    try:
+        yield DIRECTORY
+    finally:
+        DIRECTORY = before
+
+
+@contextlib.contextmanager
 def in_directory() -> Iterator[None]:
     """Functions decorated within are cached in DIRECTORY; numba's setting for everybody else stays as it was."""
     before = config.CACHE_DIR

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from .compiled import part
 from .errors import SceneError
 from .packets import LATTICE
-from .surfaces import STORED_AS, Batch, Kind, SurfaceSet
+from .surfaces import STORED_AS, AddedKind, Batch, Kind, SurfaceSet
 
 HALF = LATTICE // 2
 LONGEST_STEP = 2.0**-23  # the step of the longest axis is at most this
@@ -168,7 +168,10 @@ class World:
 
     def _batch(self, batch: Batch) -> Batch:
         data = batch.data.astype(np.float64)
-        if batch.kind in (Kind.TRIANGLE, Kind.SMOOTH):
+        if batch.kind == AddedKind.PROGRAMMED:
+            data[:, 5:8] = self.points(data[:, 5:8])
+            data[:, 4] *= self.scale
+        elif batch.kind in (Kind.TRIANGLE, Kind.SMOOTH):
             data[:, :9] = self.points(data[:, :9].reshape(-1, 3, 3)).reshape(-1, 9)
         else:
             data[:, :3] = self.points(data[:, :3])

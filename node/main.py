@@ -133,7 +133,8 @@ def _serve(
     probe: Probe,
 ) -> dict[str, Any] | None:
     index, shape = tuple(config["index"]), tuple(config["shape"])
-    processor = processor_class(config)(index, shape, open_links(config, channels), config["batch"])
+    kind = processor_class(config)
+    processor = kind(index, shape, open_links(config, channels), config["batch"], programs=bool(config.get("programs")))
     faults = [channel for channel in channels.values() if isinstance(channel, Faulty)]
     if config.get("profile"):
         from .profile import Profile

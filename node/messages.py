@@ -27,7 +27,7 @@ from .errors import ProtocolError
 from .maps import pack_map, read_map
 from .packets import SIZE
 from .step import HEAD
-from .surfaces import STORED_AS, STRIDE, Batch, Kind
+from .surfaces import OWN_HALF, STORED_AS, STRIDE, SURFACE_KINDS, AddedKind, Batch, Kind
 
 VERSION = 1
 MAX_MESSAGE = (
@@ -129,7 +129,7 @@ def read_order(message: bytes) -> dict[str, Any]:
 
 
 def pack_surfaces(corner: int, batch: Batch) -> bytes:
-    """Surface descriptions in machine coordinates, that entered the array at this corner (0 to 7).
+    """Surface descriptions in machine coordinates, that entered the array at this corner (0 to 7), or moved (8).
 
     Raises ProtocolError if they are too long for a message.
     """
@@ -145,14 +145,21 @@ def pack_surfaces(corner: int, batch: Batch) -> bytes:
     return _short_enough(b"".join(parts), f"a message of {len(batch)} surfaces of kind {batch.kind.name}")
 
 
+def _are_placed(data: np.ndarray) -> bool:
+    """Whether programmed surfaces have quaternions of length 1, scales above 0 and boxes not below 0."""
+    lengths = np.sum(data[:, :4] ** 2, axis=1)
+    half = data[:, OWN_HALF : OWN_HALF + 3]
+    return bool(np.all(np.abs(lengths - 1.0) < 1e-6) and np.all(data[:, 4] > 0.0) and np.all(half >= 0.0))
+
+
 def read_surfaces(message: bytes, count: int) -> tuple[int, Batch]:
-    """(corner, descriptions) of a SURFACES message. Raises ProtocolError for anything else."""
+    """(corner, descriptions) of a SURFACES message; corner 8: moved. Raises ProtocolError for anything else."""
     if len(message) < HEAD + SURFACE_HEADER.size:
         raise ProtocolError(f"surfaces came in {len(message) - HEAD} bytes, wanted {SURFACE_HEADER.size} or more")
     corner, kind_number, zero, n, points = SURFACE_HEADER.unpack_from(message, HEAD)
-    if corner > 7 or kind_number not in Kind.__members__.values() or zero != 0 or n != count or n == 0:
+    if corner > 8 or kind_number not in SURFACE_KINDS or zero != 0 or n != count or n == 0:
         raise ProtocolError(f"surfaces came with corner {corner}, kind {kind_number}, {n} of {count}")
-    kind = Kind(kind_number)
+    kind = SURFACE_KINDS[kind_number]
     polygon = kind == Kind.POLYGON
     dtype = np.dtype(STORED_AS[kind])
     rows = points if polygon else n
@@ -173,4 +180,6 @@ def read_surfaces(message: bytes, count: int) -> tuple[int, Batch]:
     data = np.frombuffer(message, dtype, rows * STRIDE[kind], at).reshape(rows, STRIDE[kind])
     if not np.all(np.abs(data) < 1e6):  # false for not-a-number too; machine coordinates are below 2
         raise ProtocolError(f"{n} surfaces of kind {kind.name} came with numbers beyond the world box")
+    if kind == AddedKind.PROGRAMMED and not _are_placed(data):
+        raise ProtocolError(f"{n} programmed surfaces came, of which some are turned, scaled or bounded by nothing")
     return corner, Batch(kind, ids, materials, data, starts)

@@ -12,7 +12,7 @@ import numpy as np
 from .errors import ProtocolError, SceneError
 from .lattice import Space, make_space
 from .packets import MAX_DEPTH, MAX_LIGHTS, MAX_SAMPLES
-from .tables import LIGHT_COLUMNS, MATERIAL_COLUMNS, Frame
+from .tables import LIGHT_COLUMNS, MATERIAL_COLUMNS, RULE_COLUMNS, Frame
 
 MAX_SIDE = 65536  # pixels
 
@@ -41,11 +41,13 @@ def read_space(order: dict[str, Any], shape: tuple[int, int, int]) -> Space:
 
 
 def frame_order(frame: Frame) -> dict[str, Any]:
-    """The order that tells nodes the facts of a frame."""
+    """The order that tells nodes the facts of a frame; its materials' rules of a program, if they have any."""
+    wide = frame.materials.shape[1] > MATERIAL_COLUMNS
+    rules = {"rules": frame.materials[:, MATERIAL_COLUMNS:].astype("<f8").tobytes()} if wide else {}
     return {
         "do": "frame",
         "camera": frame.camera.astype("<f8").tobytes(),
-        "materials": frame.materials.astype("<f8").tobytes(),
+        "materials": frame.materials[:, :MATERIAL_COLUMNS].astype("<f8").tobytes(),
         "lights": frame.lights.astype("<f8").tobytes(),
         "n_lights": frame.n_lights,
         "background": list(frame.background),
@@ -55,13 +57,16 @@ def frame_order(frame: Frame) -> dict[str, Any]:
         "depth": frame.depth,
         "min_weight": frame.min_weight,
         "discs": frame.discs,
-    }
+    } | rules
 
 
 def read_frame(order: dict[str, Any]) -> Frame:
     """The frame of an order. Raises ProtocolError for anything that a kernel must not see."""
     camera = _table(order, "camera", 3, exactly=6)
     materials = _table(order, "materials", MATERIAL_COLUMNS)
+    if "rules" in order:
+        rules = _table(order, "rules", RULE_COLUMNS, exactly=len(materials))
+        materials = np.ascontiguousarray(np.concatenate((materials, rules), axis=1))
     lights = _table(order, "lights", LIGHT_COLUMNS)
     n_lights = _whole(order, "n_lights", 0, min(len(lights), MAX_LIGHTS))
     width, height = _whole(order, "width", 1, MAX_SIDE), _whole(order, "height", 1, MAX_SIDE)

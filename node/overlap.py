@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from .compiled import kernel, part, piece
 from .lattice import SLACK
-from .surfaces import Batch, Kind
+from .surfaces import AddedKind, Batch, Kind
 
 F64 = NDArray[np.float64]
 
@@ -166,6 +166,8 @@ def meets(batch: Batch, low: F64, high: F64, boxes: F64 | None = None) -> NDArra
         return found
     if boxes is None:
         boxes = batch.bounds()
+    if batch.kind == AddedKind.PROGRAMMED:  # it is hit in its box only, see `node.programmed`
+        return np.asarray(((boxes[:, 1] >= low - SLACK) & (boxes[:, 0] <= high + SLACK)).all(axis=1))
     data = batch.data if batch.kind in (Kind.TRIANGLE, Kind.SMOOTH) else batch.data.astype(np.float64, copy=False)
     starts = batch.starts if batch.kind == Kind.POLYGON else np.zeros(1, np.int64)
     _meeting(int(batch.kind), _own(data), starts, boxes, low - SLACK, high + SLACK, found)

@@ -5,8 +5,13 @@ comes back, summing. Every node obeys the order and answers once its children ha
 
     do        what a node does                                  answers when
     ready     nothing                                           its links are up
+    program   compile and try a program                         it is done
+    use       let it take the place of the one before           at once
     space     new world box and planes, forget all surfaces     at once
+    groups    which surfaces move, and where they are           at once
     loaded    nothing                                           at once; sums tell whether descriptions are under way
+    move      move what it holds, drop what has left            at once
+    hand      hand on what has reached other cells              at once; what it will hand on is counted
     build     make the tables from what it retains              it is done
     frame     begin a frame                                     at once
     trace     may bear `quota` more primaries                   it is idle, or after `hold` seconds
@@ -30,14 +35,16 @@ from numpy.typing import NDArray
 
 from .errors import ProtocolError
 from .flood import Branch, branches, tree_children, tree_parent
+from .increments import MOVED, Way
 from .link import Arrival, Link, State
 from .messages import MessageKind, check_packets, pack_surfaces, read_order, read_surfaces
 from .orders import read_frame, read_space
 from .overlap import meets
 from .packets import FAULTS, PacketKind
-from .surfaces import Kind
+from .surfaces import SURFACE_KINDS, AnyKind, Batch
 from .tables import BORN, BOXES, COUNTS, DIED, HITS, SENT, TESTS, WALKS
 from .tracer import Tracer
+from .trial import ready_program
 from .usage import peak_memory, private_memory
 from .walk import HOST, PORTS
 
@@ -62,6 +69,7 @@ class Processor:
 
     links   port -> link; HOST too at a corner
     clock   seconds, for the time that a wave is held
+    programs  whether it takes programs
     """
 
     def __init__(
@@ -71,6 +79,7 @@ class Processor:
         links: dict[int, Link],
         batch: int,
         clock: Callable[[], float] = time.monotonic,
+        programs: bool = False,
     ) -> None:
         self.index, self.shape, self.links, self.batch, self.clock = index, shape, links, batch, clock
         self.tracer = Tracer(index, shape)
@@ -78,6 +87,7 @@ class Processor:
         parent = tree_parent(index)
         self._parent = HOST if parent is None else parent
         self._children = tree_children(index, shape)
+        self._programs = programs
         self._surfaces: deque[tuple[Link, Arrival]] = deque()
         self._branches: dict[int, list[Branch]] = {}
         self._wave: dict[str, Any] | None = None
@@ -117,17 +127,33 @@ class Processor:
         """Do one piece of work; whether there is more."""
         if self._surfaces:
             self._take_surfaces()
+        if self.tracer.increments.pending:
+            self._hand_on()
         if self.tracer.has_work:
-            self.tracer.work()
+            self._trace()
         self._flush()
         if self._wave is not None:
             self._maybe_answer()
         return self.busy
 
+    def _trace(self) -> None:
+        """Work on packets. What a program raises is refused, with the packets that it was working on."""
+        if self.tracer.program is None:
+            self.tracer.work()
+            return
+        try:
+            self.tracer.work()
+        except Exception as error:
+            name = self.tracer.program.program.name
+            self._refuse(f"node {self.index}: the program {name} raises: {type(error).__name__}: {error}")
+            self.tracer.forget_frame()
+            self._halted = True
+
     @property
     def busy(self) -> bool:
         """Whether `work` has something to do now."""
-        return self.tracer.has_work or (bool(self._surfaces) and not self._clogged())
+        held = self._surfaces or self.tracer.increments.pending
+        return self.tracer.has_work or (bool(held) and not self._clogged())
 
     @property
     def gathers(self) -> bool:
@@ -204,20 +230,46 @@ class Processor:
                 continue
             try:
                 corner, batch = read_surfaces(arrival.message, arrival.items)
+                self.tracer.check_known(batch)
             except ProtocolError as error:
                 self._refuse(f"link {link.name}: {error}")
                 continue
             self._received += len(batch)
-            boxes = batch.bounds()
-            self.tracer.retain(batch, boxes)
-            if corner not in self._branches:
-                self._branches[corner] = branches(corner, space, cell)
-            for branch in self._branches[corner]:
-                onward = batch.select(meets(batch, branch.low, branch.high, boxes))
-                if len(onward):
-                    self._handed_on += len(onward)
-                    payload = pack_surfaces(corner, onward)
-                    self.links[branch.port].send_data(MessageKind.SURFACES, len(onward), payload)
+            placed = self.tracer.increments.place(batch)
+            boxes = placed.bounds()
+            try:
+                ways = self._ways(corner, batch, placed, boxes)
+            except ProtocolError as error:
+                self._refuse(f"link {link.name}: {error}")
+                continue
+            if placed is batch:
+                self.tracer.retain(batch, boxes)
+            else:
+                self.tracer.retain(placed, boxes, batch)
+            for way in ways:
+                self._handed_on += len(way.batch)
+                self._send_surfaces(corner, way)
+
+    def _ways(self, corner: int, batch: Batch, placed: Batch, boxes: NDArray[np.float64]) -> list[Way]:
+        """To whom descriptions go on: along the corner's tree, or after a motion along that of their owners."""
+        space, cell = self.tracer.space, self.tracer.cell
+        assert space is not None and cell is not None
+        if corner == MOVED:
+            return self.tracer.increments.relay(batch, placed, boxes, space, cell)
+        if corner not in self._branches:
+            self._branches[corner] = branches(corner, space, cell)
+        onward = [Way(b.port, batch.select(meets(placed, b.low, b.high, boxes))) for b in self._branches[corner]]
+        return [way for way in onward if len(way.batch)]
+
+    def _hand_on(self) -> None:
+        """Send descriptions that a motion has brought to other cells."""
+        pending = self.tracer.increments.pending
+        while pending and not self._clogged():
+            self._send_surfaces(MOVED, pending.popleft())
+
+    def _send_surfaces(self, corner: int, way: Way) -> None:
+        payload = pack_surfaces(corner, way.batch)
+        self.links[way.port].send_data(MessageKind.SURFACES, len(way.batch), payload)
 
     # --- waves -------------------------------------------------------------------------------------
 
@@ -243,10 +295,21 @@ class Processor:
             self._branches = {}
             self._received = self._handed_on = 0
             self.refused.clear()
-        elif do in ("build", "frame") and self.tracer.space is None:
+        elif do in ("build", "frame", "groups", "move", "hand") and self.tracer.space is None:
             raise ProtocolError(f"the order {do!r} came before a space")
         elif do in ("trace", "collect") and self.tracer.frame is None:
             raise ProtocolError(f"the order {do!r} came before a frame")
+        elif do == "program":
+            self.tracer.ready = ready_program(order, self._programs)
+        elif do == "use":
+            self.tracer.use_ready()
+        elif do == "groups":
+            self.tracer.increments.set_groups(order)
+        elif do == "move":
+            self._halted = self._built = False
+            self.tracer.move(order)
+        elif do == "hand":
+            self._handed_on += self.tracer.increments.hand()
         elif do == "build":
             self.tracer.build()
             self._built = True
@@ -271,6 +334,7 @@ class Processor:
 
     def _halt(self) -> None:
         self.tracer.forget_frame()
+        self.tracer.increments.give_up()
         for link in self.links.values():
             link.give_up()
         self.refused.clear()
@@ -337,12 +401,13 @@ class Processor:
         kinds = list(PacketKind)
         return {
             "index": list(self.index),
+            "program": None if tracer.program is None else tracer.program.program.digest,
             "pid": os.getpid(),
-            "surfaces": {kind.name.lower(): _held(tracer, kind) for kind in Kind},
+            "surfaces": {kind.name.lower(): _held(tracer, kind) for kind in SURFACE_KINDS},
             "born": {kind.name.lower(): int(counts[BORN + kind]) for kind in kinds},
             "died": {kind.name.lower(): int(counts[DIED + kind]) for kind in kinds},
             "sent": [int(counts[SENT + port]) for port in range(PORTS)],
-            "tests": {kind.name.lower(): int(counts[TESTS + kind]) for kind in Kind},
+            "tests": {kind.name.lower(): int(counts[TESTS + kind]) for kind in SURFACE_KINDS},
             "walks": int(counts[WALKS]),
             "boxes": int(counts[BOXES]),
             "hits": int(counts[HITS]),
@@ -360,7 +425,7 @@ class Processor:
         }
 
 
-def _held(tracer: Tracer, kind: Kind) -> int:
+def _held(tracer: Tracer, kind: AnyKind) -> int:
     return sum(len(batch) for batch in tracer.retained if batch.kind == kind)
 
 

@@ -12,6 +12,7 @@ POLYGON    its vertices in order, planar, convex or concave         3 per point 
 SPHERE     centre, radius (negative: only the inside shows)            4 numbers   float64
 CYLINDER   base centre, radius, top centre, radius (equal radii)       8 numbers   float64
 CONE       base centre, base radius, apex centre, apex radius          8 numbers   float64
+PROGRAMMED where it is (a motion, 8 numbers), half its box, 8 more    19 numbers   float64
 =========  =====================================================================  ================
 
 The front of a triangle or polygon is the side from which its vertices run counter-clockwise.
@@ -27,6 +28,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from .turning import turns
+
 F64 = NDArray[np.float64]
 
 
@@ -41,21 +44,33 @@ class Kind(IntEnum):
     CONE = 5
 
 
-STRIDE: dict[Kind, int] = {
+class AddedKind(IntEnum):
+    """The kind that a program adds (`node.programs`): it is not there without one."""
+
+    PROGRAMMED = 6
+
+
+AnyKind = Kind | AddedKind
+SURFACE_KINDS: tuple[AnyKind, ...] = (*Kind, *AddedKind)
+# columns of a programmed surface: its motion from its own coordinates, half the edges of its box in these, its numbers
+OWN_MOTION, OWN_HALF, OWN_NUMBERS, NUMBERS = 0, 8, 11, 8
+STRIDE: dict[AnyKind, int] = {
     Kind.TRIANGLE: 9,
     Kind.SMOOTH: 18,
     Kind.POLYGON: 3,
     Kind.SPHERE: 4,
     Kind.CYLINDER: 8,
     Kind.CONE: 8,
+    AddedKind.PROGRAMMED: OWN_NUMBERS + NUMBERS,
 }
-STORED_AS: dict[Kind, type[np.floating]] = {
+STORED_AS: dict[AnyKind, type[np.floating]] = {
     Kind.TRIANGLE: np.float32,
     Kind.SMOOTH: np.float32,
     Kind.POLYGON: np.float64,
     Kind.SPHERE: np.float64,
     Kind.CYLINDER: np.float64,
     Kind.CONE: np.float64,
+    AddedKind.PROGRAMMED: np.float64,
 }
 MAX_SURFACES = 2**28  # a leaf of the hierarchy keeps 4 bits of a 32-bit word for kind and number
 MAX_MATERIALS = 2**16
@@ -74,7 +89,7 @@ class Batch:
     Raises ValueError if the shapes do not fit each other.
     """
 
-    kind: Kind
+    kind: AnyKind
     ids: NDArray[np.uint32]
     materials: NDArray[np.uint16]
     data: NDArray[np.floating]
@@ -118,6 +133,8 @@ class Batch:
         if self.kind == Kind.SPHERE:
             radius = np.abs(data[:, 3:4])
             return np.stack((data[:, :3] - radius, data[:, :3] + radius), axis=1)
+        if self.kind == AddedKind.PROGRAMMED:
+            return _own_bounds(data)
         return _cone_bounds(data)
 
 
@@ -129,6 +146,13 @@ def _cone_bounds(data: F64) -> F64:
     reach = np.sqrt(np.clip(1.0 - axis * axis / np.where(squared > 0.0, squared, 1.0), 0.0, 1.0))
     low = np.minimum(base - base_r * reach, apex - apex_r * reach)
     return np.stack((low, np.maximum(base + base_r * reach, apex + apex_r * reach)), axis=1)
+
+
+def _own_bounds(data: F64) -> F64:
+    """The box of a turned box: along each axis it reaches as far as its three half edges together."""
+    axes = np.abs(turns(data[:, :4])) * (data[:, OWN_HALF : OWN_HALF + 3] * data[:, 4:5])[:, None, :]
+    reach = axes[:, :, 0] + axes[:, :, 1] + axes[:, :, 2]
+    return np.stack((data[:, 5:8] - reach, data[:, 5:8] + reach), axis=1)
 
 
 @dataclass(frozen=True)
@@ -151,18 +175,18 @@ class SurfaceSet:
         every = np.concatenate(boxes)
         return np.stack((every[:, 0].min(0), every[:, 1].max(0)))
 
-    def count(self, kind: Kind) -> int:
+    def count(self, kind: AnyKind) -> int:
         """How many surfaces of this kind there are."""
         return sum(len(batch) for batch in self.batches if batch.kind == kind)
 
 
 def merge(batches: Iterable[Batch]) -> SurfaceSet:
     """One batch a kind out of many, rows in the order given."""
-    groups: dict[Kind, list[Batch]] = {}
+    groups: dict[AnyKind, list[Batch]] = {}
     for batch in batches:
         if len(batch):
             groups.setdefault(batch.kind, []).append(batch)
-    return SurfaceSet(tuple(_joined(groups[kind]) for kind in Kind if kind in groups))
+    return SurfaceSet(tuple(_joined(groups[kind]) for kind in SURFACE_KINDS if kind in groups))
 
 
 def _joined(group: list[Batch]) -> Batch:

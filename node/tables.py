@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from .frame import LIGHT, MATERIAL
 from .packets import KINDS, MAX_LIGHTS, Limits
-from .surfaces import Kind
+from .surfaces import NUMBERS, SURFACE_KINDS
 from .walk import OUTPUTS
 
 F64 = NDArray[np.float64]
@@ -20,8 +20,12 @@ F64 = NDArray[np.float64]
 KIND_SHIFT = 29
 SLOT_MASK = (1 << KIND_SHIFT) - 1
 
-# columns of Frame.materials
+# columns of Surfaces.programmed: rotation matrix, scale, shift, half the box, numbers
+OWN_TURN, OWN_SCALE, OWN_SHIFT, OWN_BOX, OWN_NUMBER = 0, 9, 10, 13, 16
+OWN_COLUMNS = OWN_NUMBER + NUMBERS
+# columns of Frame.materials; rules of a program, if there are any: whether it has one, and its numbers
 DIFFUSE, HIGHLIGHT, SHINE, SPECULAR, TRANSMISSION, IOR, MATERIAL_COLUMNS = 0, 3, 6, 7, 10, 13, 14
+RULE, RULE_NUMBER, RULE_COLUMNS = MATERIAL_COLUMNS, MATERIAL_COLUMNS + 1, 1 + NUMBERS
 # columns of Frame.lights
 LIGHT_KIND, PLACE, INTENSITY, FALLOFF, SPOT, AXIS = 0, 1, 4, 7, 8, 9
 COS_INNER, COS_OUTER, COS_DISC, DISC = 12, 13, 14, 15
@@ -32,7 +36,7 @@ BORN = 0  # by packet kind
 DIED = BORN + KINDS
 SENT = DIED + KINDS  # packets put on each output
 TESTS = SENT + OUTPUTS  # ray against surface, by kind of surface
-WALKS = TESTS + len(Kind)  # rays walked through this cell
+WALKS = TESTS + len(SURFACE_KINDS)  # rays walked through this cell
 BOXES = WALKS + 1  # nodes of the hierarchy opened
 HITS = BOXES + 1
 HOMES = HITS + 1  # homes worked out for return packets
@@ -50,6 +54,7 @@ class Surfaces(NamedTuple):
     triangles      float32 (n, 9); smooth float32 (n, 18); spheres float64 (n, 4)
     cones          float64 (n, CONE_COLUMNS), cylinders too
     planes, headers, bins, edges    polygons, see `node.intersect.in_polygon`
+    programmed     float64 (n, OWN_COLUMNS), surfaces of the kind that a program adds
     """
 
     floats: NDArray[np.float32]
@@ -65,6 +70,7 @@ class Surfaces(NamedTuple):
     headers: NDArray[np.int64]
     bins: NDArray[np.int64]
     edges: F64
+    programmed: F64
 
 
 class Frame(NamedTuple):

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from .backlog import Backlog
 from .births import DONE, new_cursor
 from .errors import ProtocolError
-from .flood import own_part
 from .hierarchy import DEPTH
-from .holdings import build_surfaces, empty_surfaces
+from .holdings import build_surfaces, empty_surfaces, refit_surfaces
+from .increments import Increments
 from .lattice import Cell, Space, make_cell
+from .overlap import meets
 from .packets import PIXEL, SIZE, Limits
 from .pixels import Pixels, make_pixels, send_pixels
+from .programs import Compiled
+from .refit import WORSE, expected_cost
 from .step import HEAD, make_outputs
-from .surfaces import Batch, SurfaceSet, merge
+from .surfaces import AddedKind, Batch, SurfaceSet, merge
 from .tables import BORN, COUNTS, DIED, SENT, Frame, frame_limits
 from .turn import ADMIT_AT_ONCE, ADMIT_BELOW, CROWDED, PORTION, TURN, turn
 from .walk import HOST, OUTPUTS, SELF_RAYS
@@ -29,6 +34,8 @@ class Tracer:
     counts     int64, see `node.tables`: what the machine did for this frame
     quota      primaries that this node may still bear before it hears from the root again
     samples_left  whether primaries of this node are still to be born
+    retained      descriptions of surfaces, of moving ones as they are at rest
+    increments    where the moving ones are
     """
 
     def __init__(self, index: tuple[int, int, int], shape: tuple[int, int, int]) -> None:
@@ -38,6 +45,12 @@ class Tracer:
         self.frame: Frame | None = None
         self.limits: Limits | None = None
         self.retained: list[Batch] = []
+        self.increments = Increments()
+        self.program: Compiled | None = None
+        self.ready: Compiled | None = None  # a program that is to be used next
+        self._turn = turn
+        self._stale = False  # whether what is retained has changed since the tables were made
+        self._built_cost = 0.0  # expected cost of the hierarchy when it was built, 0: not worked out
         self.surfaces = empty_surfaces()
         self.backlog = Backlog()
         self._crowded = False  # whether a stack had no room in the last turn
@@ -55,26 +68,62 @@ class Tracer:
         """A new world: forget all surfaces."""
         self.space, self.cell = space, make_cell(space, self.index)
         self.retained, self.surfaces = [], empty_surfaces()
+        self.increments.forget()
+        self._stale = True
         self.frame = self.limits = self.pixels = None
 
-    def retain(self, batch: Batch, boxes: np.ndarray) -> int:
-        """Keep the descriptions that touch this cell; returns how many."""
+    def retain(self, batch: Batch, boxes: np.ndarray, rest: Batch | None = None) -> int:
+        """Keep the descriptions that touch this cell; returns how many. `rest`: the same at rest, if they move."""
         assert self.cell is not None
-        own = own_part(batch, boxes, self.cell)
+        rows = meets(batch, np.array(self.cell.low_at), np.array(self.cell.high_at), boxes)
+        own = (batch if rest is None else rest).select(rows)
         if len(own):
             self.retained.append(own)
+            self._stale = True
         return len(own)
+
+    def move(self, order: dict[str, Any]) -> None:
+        """Move what is retained, drop what has left (`node.increments`). Raises ProtocolError."""
+        assert self.space is not None and self.cell is not None
+        self.retained, touched = self.increments.move(order, self.space, self.cell, self.retained)
+        self._stale = self._stale or touched
 
     def build(self) -> SurfaceSet:
         """Make the tables of the ray step from what is retained; returns it as one batch a kind.
 
         In the order of ids, for that of arrival differs from run to run, and with it leaves, tests and machine time.
+        Where the same surfaces have moved, the hierarchy is made to fit again, unless it has become too costly.
         """
         assert self.cell is not None
         held = SurfaceSet(tuple(batch.select(np.argsort(batch.ids)) for batch in merge(self.retained)))
         self.retained = list(held)
-        self.surfaces = build_surfaces(held, self.cell)
+        if not self._stale:
+            return held
+        present = SurfaceSet(tuple(self.increments.place(batch) for batch in held))
+        fitted = refit_surfaces(present, self.cell, self.surfaces) if self.increments.moves is not None else None
+        if fitted is not None:
+            self._built_cost = self._built_cost or expected_cost(self.surfaces.floats)
+            if expected_cost(fitted.floats) > WORSE * self._built_cost:
+                fitted = None
+        if fitted is None:
+            self._built_cost = 0.0
+        self.surfaces = build_surfaces(present, self.cell) if fitted is None else fitted
+        self._stale = False
         return held
+
+    def use_ready(self) -> None:
+        """Let the program that is ready take the place of the one before; none: the step without a program."""
+        self.program = self.ready
+        self._turn = turn if self.program is None else self.program.turn
+
+    def check_known(self, batch: Batch) -> None:
+        """Raise ProtocolError for programmed surfaces where no program says what they are."""
+        if batch.kind == AddedKind.PROGRAMMED and (
+            self.program is None or "surface_hits" not in self.program.program.hooks
+        ):
+            raise ProtocolError(
+                f"{len(batch)} programmed surfaces came, wanted a program with surface_hits before them"
+            )
 
     def forget_frame(self) -> None:
         """Drop the frame with all its packets; the surfaces stay."""
@@ -119,7 +168,7 @@ class Tracer:
             if self._crowded:
                 births = PORTION * max(self.frame.n_lights, 2)
                 backlog.make_room(0, births, max(births, ADMIT_AT_ONCE))
-            self.quota, why = turn(
+            self.quota, why = self._turn(
                 self.cell,
                 self.space,
                 self.frame,

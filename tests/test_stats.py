@@ -11,14 +11,14 @@ from support_render import SCENES, rendered
 
 from raygrid.host.load import load_scene
 from raygrid.node.packets import PacketKind
-from raygrid.node.surfaces import Kind
+from raygrid.node.surfaces import SURFACE_KINDS
 
 __all__ = ["warm_kernels"]
 
 pytestmark = pytest.mark.usefixtures("no_leftovers", "warm_kernels")
 
 DOCUMENT = Path(__file__).parents[1] / "docs" / "stats.md"
-SURFACES = {kind.name.lower() for kind in Kind}
+SURFACES = {kind.name.lower() for kind in SURFACE_KINDS}
 PACKETS = {kind.name.lower() for kind in PacketKind}
 
 
