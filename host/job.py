@@ -20,7 +20,7 @@ from raygrid.node.motions import Moves
 from raygrid.node.orders import MAX_SIDE
 from raygrid.node.packets import MAX_DEPTH, MAX_LIGHTS, MAX_SAMPLES
 from raygrid.node.programs import Program
-from raygrid.node.surfaces import SurfaceSet
+from raygrid.node.surfaces import AddedKind, SurfaceSet
 from raygrid.node.tables import Frame, light_table, material_table
 
 DEFAULT_SIZE = (512, 512)
@@ -80,6 +80,7 @@ def make_job(
 
     `wait`: as of `raygrid.emulator.split.split`.
     """
+    check_program(scene, settings.program)
     if scene.shot is not None:
         from raygrid.host.shot_jobs import jobs_of
 
@@ -96,6 +97,15 @@ def make_job(
     frame = make_frame(scene, world, settings)
     space = split(settings.split, shape, world, surfaces, frame, wait)
     return Job(scene, world, space, surfaces, frame, settings)
+
+
+def check_program(scene: Scene, program: Program | None) -> None:
+    """Raise SceneError for surfaces that nobody can hit without a program, if there is none that does."""
+    programmed = scene.surfaces.count(AddedKind.PROGRAMMED)
+    if programmed and (program is None or "surface_hits" not in program.hooks):
+        raise SceneError(
+            f"{scene.name}: {programmed} surfaces of a program came, wanted a program with surface_hits (--program)"
+        )
 
 
 def make_frame(scene: Scene, world: World, settings: Settings) -> Frame:

@@ -14,12 +14,10 @@ from raygrid.emulator.increments import is_held
 from raygrid.emulator.limits import read_memory
 from raygrid.host.job import Job, rays_enter
 from raygrid.host.picture import Picture
-from raygrid.host.scene_builder import plural
 from raygrid.host.stats import make_stats
-from raygrid.node.errors import ArrayError, Garbled, SceneError, TooLarge
+from raygrid.node.errors import ArrayError, Garbled, TooLarge
 from raygrid.node.lattice import LONGEST_STEP
 from raygrid.node.pixels import MAX_INTENSITY, UNIT
-from raygrid.node.surfaces import AddedKind
 
 MOST_BUDGET = (1 << 32) - 1  # a quota of primary rays travels as a u32
 PIXEL_BYTES = 96  # of one pixel in its home, in the sums collected, and while its picture is made
@@ -70,11 +68,6 @@ def render_job(
 def _bring(driver: Driver, job: Job) -> None:
     """Let the nodes run the job's program and hold its surfaces: by an increment if they hold another frame of it."""
     program = job.settings.program
-    programmed = job.surfaces.count(AddedKind.PROGRAMMED)
-    if programmed and (program is None or "surface_hits" not in program.hooks):
-        raise SceneError(
-            f"{job.scene.name}: {plural(programmed, 'surface')} of a program came, wanted a program with surface_hits"
-        )
     if program != driver.program:
         driver.load_program(program)
     if is_held(driver.held, job.space, job.surfaces, job.moves) and job.moves is not None:

@@ -239,8 +239,8 @@ def test_programs_must_be_allowed():
 def test_programmed_surfaces_without_a_program_are_refused_by_host_and_nodes():
     array = in_memory((2, 1, 1))
     with pytest.raises(SceneError, match="4 surfaces of a program came, wanted a program with surface_hits"):
-        render_job(array.driver, job_of("rings.toml", (2, 1, 1), None))
-    job = job_of("rings.toml", (2, 1, 1), None)
+        job_of("rings.toml", (2, 1, 1), None)
+    job = job_of("rings.toml", (2, 1, 1), TORUS)
     with pytest.raises(ArrayError, match="programmed surfaces came, wanted a program with surface_hits before them"):
         array.driver.load(job.space, job.surfaces)
     render_job(array.driver, job_of("tiny.nff", (2, 1, 1), None))
