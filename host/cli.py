@@ -29,8 +29,9 @@ EXAMPLES = """\b
 Examples:
   raygrid render scenes/room.glb
   raygrid render scenes/glass.toml --array 3x3x3 --size 800x600 --samples 4 -o glass.png
-  raygrid render balls.nff --split uniform -o balls.npy --stats balls.json
-  raygrid simulate balls.nff --array 10x10x10 --cost 8086
+  raygrid render scenes/mobile.toml --frames 1-48 -o 'out/mobile_%04d.png' -o out/mobile.gif
+  raygrid render scenes/kinds.nff --split uniform -o kinds.npy --stats kinds.json
+  raygrid simulate scenes/kinds.nff --array 10x10x10 --cost 8086
   raygrid info scenes/room.glb
   raygrid export scenes/kinds.nff -o kinds.pov
   raygrid up --array 2x2x2
@@ -60,9 +61,10 @@ Examples:
   raygrid render balls.nff --array 4x4x1 --split uniform --batch 1
   raygrid render scenes/mobile.toml --frames 1-48 -o 'out/mobile_%04d.png' -o out/mobile.gif
   raygrid render scenes/room.glb --turntable 72 -o out/round.webp
+  raygrid render scenes/rings.toml --program scenes/programs/torus.py --allow-programs -o rings.png
 
 .npy holds the exact sums as int64, height x width x 3: linear radiance x 2^24, added over the samples of a pixel.
-docs/stats.md says what the statistics mean, docs/probes.md what probes tell.
+docs/stats.md says what the statistics mean, docs/probes.md what probes tell, docs/animation.md how scenes move.
 """
 LOAD_EXAMPLES = """\b
 Examples:
@@ -231,12 +233,15 @@ def cli() -> None:
               help="Code for the nodes: a surface, a shading rule or a background (docs/programs.md).")
 @click.option("--allow-programs", is_flag=True, help="Launch an array that takes programs. They run with your rights.")
 @click.option("--stats", type=click.Path(), metavar="FILE", help="Write what the machine did as JSON.")
-@click.option("--probe-record", type=click.Path(), metavar="FILE", help="Keep how every node stood, line by line, as JSON.")
-@click.option("--chrome-trace", type=click.Path(), metavar="FILE", help="Write the same as a trace for Perfetto.")
+@click.option("--probe-record", type=click.Path(), metavar="FILE",
+              help="Keep how every node stood, line by line, as JSON. For a single frame.")
+@click.option("--chrome-trace", type=click.Path(), metavar="FILE",
+              help="Write the same as a trace for Perfetto. For a single frame.")
 @click.option("--probe-rate", type=Number(0.01, 100.0), default=10.0, show_default=True, metavar="HZ",
               help="How often a node tells how it stands, if anybody asks.")
 @click.option("--profile", is_flag=True,
-              help="Say where each processor's time went: receive, birth, decode, walk, hit, shade, send, other, wait.")
+              help="Say where each processor's time went: receive, birth, decode, walk, hit, shade, send, other, wait. "
+                   "For a single frame.")
 @click.option("--patience", type=Number(0.1, 1e9), default=30.0, show_default=True, metavar="SECONDS",
               help="Time without any progress after which the array is taken to hang.")
 @click.option("--timed", is_flag=True, help="Keep machine time, too: ticks in --stats. Slow; see docs/machine-time.md.")
@@ -246,7 +251,7 @@ def cli() -> None:
               help="How often to try when processors are lost or links break; the picture is the same.")
 @click.option("--fault", type=Fault(), metavar="KIND[:RATE[:SEED]]",
               help="For experiments: links between neighbours drop, double, reorder, delay, corrupt or truncate this part "
-                   "of their messages.  [default rate: 0.0001]")
+                   "of their messages; --patience is then 3 at most.  [default rate: 0.0001]")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors. (Without a terminal there is hardly any.)")
 @_debug_option
 def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **options: Any) -> None:
