@@ -129,7 +129,7 @@ def test_edited_keys_are_seen_though_everything_at_rest_stays(array, tmp_path):
 def test_what_an_array_must_hold_is_told_apart_by_where_groups_are(tmp_path):
     """Two scenes with the same surfaces at rest in the same world and cells, of which only a key differs."""
     still = '[[surfaces]]\nkind = "box"\nlow = [-9, -9, -9]\nhigh = [9, 9, 9]\n'
-    text = "[camera]\nfrom = [0, 0, 20]\n[shot]\nframes = 3\n[groups.g]\n[[groups.g.keys]]\nframe = 1\ntranslate = [{}, 0, 0]\n"
+    text = "[camera]\nfrom = [0, 0, 20]\nat = [0, 0, 0]\n[shot]\nframes = 3\n[groups.g]\n[[groups.g.keys]]\nframe = 1\ntranslate = [{}, 0, 0]\n"
     ball = '[[surfaces]]\nkind = "sphere"\ncentre = [0, 0, 0]\nradius = 1\ngroup = "g"\n'
     path, store, loaded = tmp_path / "s.toml", SceneStore((2, 1, 1)), []
     for shift in (1, 2, 1):
@@ -161,8 +161,8 @@ def test_frames_that_the_shot_has_not_are_one_error_before_any_is_rendered(name,
     for frames, said in (("47-49", "frames 47-49"), ("0-1", "frames 0-1"), ("49", "frame 49")):
         outcome = on(name, "submit", str(MOBILE), *OPTIONS, "--frames", frames, "-o", "f_%d.npy", cwd=tmp_path)
         first = frames.split("-")[0]
-        said = rf"raygrid: error: job \d+ failed: frame {first}: mobile: {said} came, wanted frames of 1 to 48"
-        one_line(outcome, 1, said)
+        pattern = rf"raygrid: job \d+ failed: frame {first}: mobile.toml: {said} came, wanted frames of 1 to 48"
+        one_line(outcome, 1, pattern)
     assert list(tmp_path.iterdir()) == []
     array.submit(MOBILE, output=tmp_path / "f_%d.npy", frames=(48, 48), **SMALL).wait()  # it goes on
 
