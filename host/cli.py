@@ -259,8 +259,8 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
 
     SCENE is a file of one of these kinds: .nff .obj .ply .stl .glb .gltf .toml
     """
-    from raygrid.host.command_frames import turntable_of
     from raygrid.host.command_render import Request, default_outputs, run_render
+    from raygrid.host.frames import turntable_of
 
     of_machine = ("batch", "budget", "transfer", "stats", "patience", "attempts", "fault", "quiet", "profile")
     names = (*of_machine, "probe_record", "chrome_trace", "probe_rate", "frames", "program", "allow_programs")

@@ -11,8 +11,8 @@ import click
 from raygrid.host.cli import AnyType, Number, Shape
 
 # Options of `render` that a job has, too; the others belong to the array, and so to `up`.
-OF_RENDER = ("size", "samples", "depth", "min_weight", "highlights", "split", "budget", "transfer")
-SETTINGS = OF_RENDER[:6]
+SETTINGS = ("size", "samples", "depth", "min_weight", "highlights", "split")
+OF_RENDER = (*SETTINGS, "budget", "transfer", "turntable", "turntable_scene", "program")
 
 Command = Callable[..., Any]
 
@@ -27,7 +27,8 @@ SUBMIT_EXAMPLES = """\b
 Examples:
   raygrid submit scenes/room.glb -o room.png
   raygrid submit scenes/room.glb --size 640x480 --frames 1-250 -o out/f_%04d.png --resume
-  raygrid submit scenes/glass.toml --name film --detach
+  raygrid submit scenes/mobile.toml --frames 1-48 -o out/m_%04d.png
+  raygrid submit scenes/glass.toml --turntable 72 --name film --detach
 
 Ctrl-C cancels the job. If this command is killed, or its terminal closed, the job goes on: raygrid jobs shows it.
 """
@@ -115,6 +116,7 @@ def _json_option(command: Command) -> Command:
               help="Most packets a message; 1 is the machine of 1983.")
 @click.option("--patience", type=Number(0.1, 1e9), default=30.0, show_default=True, metavar="SECONDS",
               help="Time without any progress after which the array is taken to hang.")
+@click.option("--allow-programs", is_flag=True, help="Take programs. They run with your rights.")
 @_json_option
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors.")
 def up(**options: Any) -> None:
@@ -127,7 +129,8 @@ def up(**options: Any) -> None:
 @click.command(epilog=SUBMIT_EXAMPLES)
 @click.argument("scene")
 @_name_option
-@click.option("--frames", type=Frames(), metavar="A-B", help="Frames to render.  [default: one, without a number]")
+@click.option("--frames", type=Frames(), metavar="A-B",
+              help="Frames to render.  [default: all of a turntable, else one, without a number]")
 @click.option("-o", "--output", "outputs", multiple=True, type=click.Path(), metavar="FILE",
               help="As for render; with --frames, %04d stands for the number of the frame. May be repeated.  "
                    "[default: the scene's name with .png, or with _%04d.png, here]")
@@ -142,9 +145,14 @@ def submit(scene: str, **options: Any) -> None:
     SCENE is a file as for render. The service reads it, and writes the outputs, by their absolute paths.
     """
     from raygrid.host.command_submit import Order, run_submit
+    from raygrid.host.frames import turntable_of
 
     settings = {name: options.pop(name) for name in SETTINGS}
-    run_submit(Order(scene, settings=settings, client=f"session {os.getsid(0)}", **options))
+    turntable = turntable_of(options.pop("turntable"), options.pop("turntable_scene"))
+    if turntable is not None and options["frames"] is None:
+        options["frames"] = 1, turntable.frames
+    client = f"session {os.getsid(0)}"
+    run_submit(Order(scene, settings=settings, turntable=turntable, client=client, **options))
 
 
 @click.command(epilog=WAIT_EXAMPLES)

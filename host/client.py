@@ -198,22 +198,29 @@ class Service:
         budget: int | None = None,
         resume: bool = False,
         client: str | None = None,
+        turntable: int | None = None,
+        turn_scene: bool = False,
+        program: Name | None = None,
         **settings: Any,
     ) -> Submitted:
         """Queue a job and return at once. Paths may be relative to the current directory.
 
         scene     path of the scene's file, which the service reads when the job's turn comes
         output    path of a picture or a .npy, or several; with several frames each has a %04d for the number
-        frames    first and last; None: one frame without number
+        frames    first and last; None: all of a turntable, else one frame without number
         stats     path of the statistics, with %04d likewise
         resume    skip frames whose files are there, whole, and of this very job
         client    in whose turn it is rendered; None: this connection's own
+        turntable  so many frames make a shot of a still scene: the camera goes once round; `turn_scene`: the scene turns
+        program   path of a program for the nodes, for an array that was launched to take it
         settings  size, samples, depth, min_weight, highlights, split; see `raygrid.host.job.Settings`
         Raises TypeError for another setting, ArrayError for what the service refuses.
         """
         unknown = set(settings) - set(SETTINGS)
         if unknown:
             raise TypeError(f"the settings {sorted(unknown)} came, wanted some of {', '.join(SETTINGS)}")
+        if frames is None and turntable is not None:
+            frames = 1, turntable
         outputs = [output] if isinstance(output, str | os.PathLike) else list(output)
         request: Message = {
             "do": "submit",
@@ -225,6 +232,8 @@ class Service:
             "transfer": transfer,
             "resume": resume,
             "client": self._client if client is None else client,
+            "turntable": None if turntable is None else {"frames": turntable, "scene": turn_scene},
+            "program": None if program is None else os.path.abspath(program),
         }
         if budget is not None:
             request["budget"] = budget

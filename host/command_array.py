@@ -38,7 +38,7 @@ def _status_lines(facts: Facts) -> list[str]:
         f"{facts['name']}: {shape} {facts['state']}{why}, up for {_span(time.time() - facts['started'])}, "
         f"service {facts['pid']}{load}, {_bytes(facts['memory'])} in the nodes",
         f"frames: {frames['done']:,} done, {frames['skipped']:,} skipped, {frames['failed']:,} failed; "
-        f"scenes loaded {facts['floods']:,} times",
+        f"scenes loaded {facts['floods']:,} times, moved on by increments {facts['increments']:,} times",
         f"queue: {_count(queue['jobs'], 'job')}, {_count(queue['frames'], 'frame')} not begun; {_running(facts['running'])}",
         f"faults: {faults['count']:,}, resets: {facts['resets']:,}"
         + (f"; the last: {faults['last'][-1]['what']}" if faults["last"] else ""),

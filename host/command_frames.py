@@ -6,7 +6,6 @@ import contextlib
 import re
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,22 +23,6 @@ if TYPE_CHECKING:
 
 NUMBER = re.compile(r"%(0?[1-9])?d")
 LARGEST_NUMBER = 1_000_000
-
-
-@dataclass(frozen=True)
-class Turntable:
-    """How many frames a turn has, and whether the scene turns and not the camera."""
-
-    frames: int
-    turn_scene: bool
-
-
-def turntable_of(camera: int | None, scene: int | None) -> Turntable | None:
-    """The turntable that was asked for. Raises SceneError if both were."""
-    if camera is not None and scene is not None:
-        raise SceneError("--turntable and --turntable-scene came, wanted one of them")
-    frames = scene if camera is None else camera
-    return None if frames is None else Turntable(int(frames), scene is not None)
 
 
 def has_number(path: str) -> bool:

@@ -5,17 +5,10 @@ from __future__ import annotations
 import time
 
 from raygrid.emulator.array import Array
+from raygrid.host.load import check_allowed
 from raygrid.host.outputs import write_result
 from raygrid.host.progress import Talk
 from raygrid.node.errors import ArrayError
-
-
-def check_allowed(path: str | None, allowed: bool) -> None:
-    """Raise ArrayError for a program that nobody has allowed."""
-    if path is not None and not allowed:
-        raise ArrayError(
-            f"{path}: a program is code that runs with your rights, wanted --allow-programs to launch an array that takes it"
-        )
 
 
 def run_load(path: str, shape: tuple[int, int, int], allowed: bool, quiet: bool) -> None:

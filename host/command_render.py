@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from raygrid.emulator.array import Array
-from raygrid.host.command_frames import Turntable, run_frames, wants_frames
-from raygrid.host.command_load import check_allowed
-from raygrid.host.load import check_name
+from raygrid.host.command_frames import run_frames, wants_frames
+from raygrid.host.frames import Turntable
+from raygrid.host.load import check_allowed, check_name
 from raygrid.host.outputs import check_different, check_path, check_picture_path, check_side, write_result
 from raygrid.host.progress import Talk
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from raygrid.host.client import Connection
-from raygrid.host.frames import check_pattern, path_of
+from raygrid.host.frames import Turntable, check_pattern, path_of
 from raygrid.host.load import check_name
 from raygrid.host.outputs import check_different, check_path, check_picture_path, write_result
 from raygrid.host.progress import PHASES, Talk
@@ -40,6 +40,8 @@ class Order:
     quiet: bool
     client: str
     settings: Facts
+    turntable: Turntable | None = None
+    program: str | None = None
 
 
 def run_submit(order: Order) -> None:
@@ -87,6 +89,8 @@ def _check(order: Order, outputs: tuple[str, ...]) -> None:
         raise SceneError(f"{order.scene}: the suffix is unknown, wanted one of: {' '.join(READERS)}")
     if not os.path.isfile(order.scene):
         raise SceneError(f"{order.scene}: there is no such file")
+    if order.program is not None and not os.path.isfile(order.program):
+        raise SceneError(f"{order.program}: there is no such file")
     written = [*outputs] + ([] if order.stats is None else [order.stats])
     for pattern in written:
         check_pattern(pattern, order.frames)
@@ -102,6 +106,7 @@ def _request(order: Order, outputs: tuple[str, ...]) -> Facts:
     settings = {name: value for name, value in order.settings.items() if value is not None}
     if "size" in settings:
         settings["size"] = list(settings["size"])
+    turn = order.turntable
     return {
         "do": "submit",
         "scene": os.path.abspath(order.scene),
@@ -113,6 +118,8 @@ def _request(order: Order, outputs: tuple[str, ...]) -> Facts:
         "budget": order.budget,
         "resume": order.resume,
         "client": order.client,
+        "turntable": None if turn is None else {"frames": turn.frames, "scene": turn.turn_scene},
+        "program": None if order.program is None else os.path.abspath(order.program),
         "follow": not order.detach,
     }
 

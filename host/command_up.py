@@ -28,6 +28,7 @@ class Launch:
     name: str
     batch: int
     patience: float
+    allow_programs: bool
     as_json: bool
     quiet: bool
 
@@ -66,6 +67,7 @@ def _start(launch: Launch, talk: Talk) -> dict[str, Any]:
     """Start the process; returns what it says when it is ready."""
     arguments = [launch.name, "--array", *map(str, launch.shape)]
     arguments += ["--batch", str(launch.batch), "--patience", str(launch.patience)]
+    arguments += ["--programs"] * launch.allow_programs
     try:
         # -P: modules that happen to lie where the user stands are not what the service imports.
         process = subprocess.Popen(

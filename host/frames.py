@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 
-from raygrid.node.errors import OutputError
+from raygrid.node.errors import OutputError, SceneError
 
 FIELD = re.compile(r"%(0?[0-9]?)d")
 LAST_FRAME = 999_999_999
@@ -37,3 +38,19 @@ def path_of(pattern: str, frame: int | None) -> str:
     if frame is None:
         return pattern
     return FIELD.sub(lambda field: f"{frame:{field[1]}d}", pattern)
+
+
+@dataclass(frozen=True)
+class Turntable:
+    """How many frames a turn has, and whether the scene turns and not the camera."""
+
+    frames: int
+    turn_scene: bool
+
+
+def turntable_of(camera: int | None, scene: int | None) -> Turntable | None:
+    """The turntable that was asked for. Raises SceneError if both were."""
+    if camera is not None and scene is not None:
+        raise SceneError("--turntable and --turntable-scene came, wanted one of them")
+    frames = scene if camera is None else camera
+    return None if frames is None else Turntable(int(frames), scene is not None)

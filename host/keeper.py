@@ -32,6 +32,7 @@ class Keeper:
     shape     processors on each axis
     options   of `Array`
     floods    how often a scene was loaded
+    increments  how often the nodes were told only what has moved since the frame before
     on_fault  told of each fault that was repaired
     on_wait   called often while a frame is rendered; raises to give the frame up
     rate      of the array's probes, in samples a second of each node; any thread may set it
@@ -39,7 +40,7 @@ class Keeper:
     """
 
     def __init__(self, shape: Shape, on_fault: OnFault, on_wait: Callable[[], None], **options: Any) -> None:
-        self.shape, self.floods = shape, 0
+        self.shape, self.floods, self.increments = shape, 0, 0
         self._on_fault, self._on_wait = on_fault, on_wait
         self._options = options
         self._array: Array | None = None
@@ -153,13 +154,21 @@ class Keeper:
 
         def noting(phase: str, progress: Progress | None) -> None:
             if phase == "load":
-                self.floods += 1
+                self._count_load(ready)
                 self._holds = ""
             elif phase == "trace" and progress is None:
                 self._holds = ready.loaded
             watch(phase, progress)
 
         return noting
+
+    def _count_load(self, ready: Ready) -> None:
+        from raygrid.host.render import needs_increment
+
+        if self._array is not None and needs_increment(self._array.driver, ready.job):
+            self.increments += 1
+        else:
+            self.floods += 1
 
     def close(self) -> None:
         """End the array. May be called twice."""

@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 
 from raygrid.host.scene import Scene
-from raygrid.node.errors import SceneError
+from raygrid.node.errors import ArrayError, SceneError
 
 # Suffix: module and function. Imported when needed: the readers of some formats bring in large libraries.
 READERS = {
@@ -25,6 +25,14 @@ def check_name(path: str | Path) -> None:
     """Raise SceneError for what cannot be the name of a file."""
     if not str(path) or "\0" in str(path):
         raise SceneError(f"a scene came as {str(path)!r}, wanted the name of a file")
+
+
+def check_allowed(path: str | None, allowed: bool) -> None:
+    """Raise ArrayError for a program that nobody has allowed."""
+    if path is not None and not allowed:
+        raise ArrayError(
+            f"{path}: a program is code that runs with your rights, wanted --allow-programs to launch an array that takes it"
+        )
 
 
 def load_scene(path: str | Path) -> Scene:

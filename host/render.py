@@ -67,13 +67,19 @@ def render_job(
 
 def _bring(driver: Driver, job: Job) -> None:
     """Let the nodes run the job's program and hold its surfaces: by an increment if they hold another frame of it."""
-    program = job.settings.program
-    if program != driver.program:
-        driver.load_program(program)
-    if is_held(driver.held, job.space, job.surfaces, job.moves) and job.moves is not None:
+    by_increment = needs_increment(driver, job)
+    if job.settings.program != driver.program:
+        driver.load_program(job.settings.program)
+    if by_increment and job.moves is not None:
         driver.move(job.moves)
     else:
         driver.load(job.space, job.surfaces, job.moves)
+
+
+def needs_increment(driver: Driver, job: Job) -> bool:
+    """Whether the nodes hold another frame of the job's shot, and need be told only what has moved."""
+    same_program = driver.program == job.settings.program  # another one has surfaces loaded anew
+    return same_program and is_held(driver.held, job.space, job.surfaces, job.moves)
 
 
 def _check_memory(job: Job) -> None:

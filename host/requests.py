@@ -19,8 +19,11 @@ from pydantic import (
     model_validator,
 )
 
-from raygrid.host.frames import LAST_FRAME, MOST_FRAMES, check_pattern
+from raygrid.host.frames import LAST_FRAME, MOST_FRAMES, Turntable, check_pattern
 from raygrid.host.job import Settings
+from raygrid.host.program_file import read_program
+from raygrid.host.scene_store import Wanted
+from raygrid.host.shot import MAX_FRAMES
 from raygrid.host.wire import Message
 from raygrid.node.errors import OutputError, ProtocolError
 
@@ -56,12 +59,21 @@ class SettingsOf(Strictly):
     split: Literal["balanced", "uniform"] = "balanced"
 
 
+class TurntableOf(Strictly):
+    """`raygrid.host.turntable`: so many frames a turn; `scene`: the scene turns, not the camera."""
+
+    frames: Annotated[int, Field(ge=1, le=MAX_FRAMES)]
+    scene: bool = False
+
+
 class Submit(Strictly):
     """A job: frames of a scene.
 
     frames   first and last, or None: one frame, whose files are named as they are
     outputs  patterns of files, in which %04d stands for the frame's number
     client   whose turn it is in: clients are served in turn
+    turntable  makes a shot of a still scene
+    program  file of a program that the nodes are to run
     follow   tell of it until it has ended, as Follow does
     """
 
@@ -75,6 +87,8 @@ class Submit(Strictly):
     budget: Annotated[int, Field(ge=1, le=(1 << 32) - 1)] = 262_144
     resume: bool = False
     client: Annotated[str, Field(max_length=64)] = ""
+    turntable: TurntableOf | None = None
+    program: Path | None = None
     follow: bool = Field(default=False, exclude=True)
 
     @model_validator(mode="after")
@@ -90,9 +104,11 @@ class Submit(Strictly):
             raise ValueError(str(error)) from None
         return self
 
-    def job_settings(self) -> Settings:
-        """As the front end has them."""
-        return Settings(**dict(self.settings))
+    def wanted(self) -> Wanted:
+        """What is to be read and made ready, as the front end has it. Raises SceneError for a program that is none."""
+        program = None if self.program is None else read_program(self.program)
+        turn = None if self.turntable is None else Turntable(self.turntable.frames, self.turntable.scene)
+        return Wanted(self.scene, Settings(**dict(self.settings), program=program), turn, self.frames)
 
 
 class Follow(Strictly):

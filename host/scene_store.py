@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import hashlib
 from collections import OrderedDict
+from collections.abc import Hashable
 from dataclasses import astuple, dataclass, replace
 from functools import lru_cache
 from importlib.metadata import version
+from typing import Any
 
+from raygrid.host.frames import Turntable
 from raygrid.host.job import Job, Settings, make_job, samples_expected
 from raygrid.host.load import load_scene
 from raygrid.host.scene import Scene
 from raygrid.host.shot_jobs import ShotJobs
 from raygrid.host.sources import Sources, recorded
+from raygrid.host.turntable import turntable
+from raygrid.node.errors import SceneError
+from raygrid.node.motions import Moves
 
 MOST_KEPT = 4  # scenes and settings
 
@@ -20,27 +26,64 @@ Shape = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
+class Wanted:
+    """What a job wants to be made ready.
+
+    path      of the scene's file
+    turn      makes a shot of a still scene; None: the scene as it is
+    frames    first and last of the job; None: it names none
+    """
+
+    path: str
+    settings: Settings
+    turn: Turntable | None = None
+    frames: tuple[int, int] | None = None
+
+    def check_frames(self, scene: Scene) -> None:
+        """Raise SceneError for frames that the scene's shot has not: before the first of the job, not after many."""
+        if scene.shot is None or self.frames is None:
+            return
+        first, last = self.frames
+        if not 1 <= first <= last <= scene.shot.frames:
+            came = f"frame {first}" if first == last else f"frames {first}-{last}"
+            raise SceneError(f"{scene.name}: {came} came, wanted frames of 1 to {scene.shot.frames}")
+
+
+@dataclass(frozen=True)
 class Ready:
     """A frame that is ready for the array.
 
-    loaded    a digest of what the array must hold: the planes between cells, and the surfaces
-    contents  a digest of the scene's files
+    loaded    a digest of what the array must hold: the planes between cells, the surfaces, where they are, the program
+    contents  a digest of the scene's files, and of the turntable it stands on
     expected  primary rays that there will be, about
+    remarks   on the scene
     """
 
     job: Job
     loaded: str
     contents: str
     expected: int
+    remarks: tuple[str, ...]
 
     def digest(self, frame: int | None, transfer: str) -> str:
         """A digest of all that the picture depends on: contents, settings, frame, transfer, and this program.
 
         The split is not part of it, for the picture does not depend on it.
         """
-        settings = astuple(replace(self.job.settings, split=""))
-        words = repr((_version(), self.contents, settings, frame, transfer))
+        program = self.job.settings.program
+        settings = astuple(replace(self.job.settings, split="", program=None))
+        digest = None if program is None else program.digest
+        words = repr((_version(), self.contents, settings, digest, frame, transfer))
         return hashlib.sha256(words.encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class _Shot:
+    """A shot that is kept: the scene as it was read, its jobs, and a digest of what they all share."""
+
+    scene: Scene
+    jobs: ShotJobs
+    shared: str
 
 
 @lru_cache
@@ -54,8 +97,8 @@ class SceneStore:
     def __init__(self, shape: Shape) -> None:
         self._shape = shape
         self._scenes: OrderedDict[str, tuple[Sources, Scene]] = OrderedDict()
-        self._ready: OrderedDict[tuple[str, Settings], tuple[Scene, Ready]] = OrderedDict()
-        self._shots: OrderedDict[tuple[str, Settings], tuple[Scene, ShotJobs]] = OrderedDict()
+        self._ready: OrderedDict[Wanted, tuple[Scene, Ready]] = OrderedDict()
+        self._shots: OrderedDict[Wanted, _Shot] = OrderedDict()
 
     def scene(self, path: str) -> tuple[Sources, Scene]:
         """The scene of a file as it is now, and what it was read from. Raises SceneError."""
@@ -64,38 +107,57 @@ class SceneStore:
             with recorded() as sources:
                 scene = load_scene(path)
             kept = sources, scene
-        self._scenes[path] = kept
-        while len(self._scenes) > MOST_KEPT:
-            self._scenes.popitem(last=False)
+        _keep(self._scenes, path, kept)
         return kept
 
-    def frame(self, path: str, settings: Settings, frame: int) -> Ready:
-        """A frame of the scene as its files are now. Raises SceneError."""
-        sources, scene = self.scene(path)
-        key = path, settings
-        if scene.shot is not None:
-            return self._shot_frame(scene, sources, key, frame)
+    def frame(self, wanted: Wanted, frame: int | None) -> Ready:
+        """A frame of the scene as its files are now; None: a shot's first. Raises SceneError."""
+        sources, scene = self.scene(wanted.path)
+        key = replace(wanted, frames=None)
+        if scene.shot is not None or wanted.turn is not None:
+            return self._shot_frame(scene, sources, wanted, frame)
         kept = self._ready.pop(key, None)
         if kept is None or kept[0] is not scene:
-            job = make_job(scene, self._shape, settings)
-            kept = scene, Ready(job, _digest_of_load(job), sources.digest(), samples_expected(job))
-        self._ready[key] = kept
-        while len(self._ready) > MOST_KEPT:
-            self._ready.popitem(last=False)
+            job = make_job(scene, self._shape, wanted.settings)
+            loaded = _digest_of_load(job) + _digest_of_program(wanted.settings)
+            kept = scene, Ready(job, loaded, sources.digest(), samples_expected(job), tuple(scene.remarks))
+        _keep(self._ready, key, kept)
         return kept[1]
 
-    def _shot_frame(self, scene: Scene, sources: Sources, key: tuple[str, Settings], frame: int) -> Ready:
+    def _shot_frame(self, scene: Scene, sources: Sources, wanted: Wanted, frame: int | None) -> Ready:
         """A frame of a scene that moves: its jobs share what an array needs to go from one to the next by increments."""
-        assert scene.shot is not None
+        kept = self._shot(scene, wanted)
+        job = kept.jobs.job(1 if frame is None else frame)
+        assert job.moves is not None
+        loaded = kept.shared + _digest_of_moves(job.moves) + _digest_of_program(wanted.settings)
+        remarks = tuple(scene.remarks)
+        if frame is None and scene.shot is not None and scene.shot.frames > 1:
+            remarks += (f"frame 1 of {scene.shot.frames}; --frames 1-{scene.shot.frames} renders all",)
+        return Ready(job, loaded, f"{sources.digest()} {wanted.turn}", samples_expected(job), remarks)
+
+    def _shot(self, scene: Scene, wanted: Wanted) -> _Shot:
+        key = replace(wanted, frames=None)
         kept = self._shots.pop(key, None)
-        if kept is None or kept[0] is not scene:
-            kept = scene, ShotJobs(scene, self._shape, key[1], (scene.shot.frames + 1) // 2)
-        self._shots[key] = kept
-        while len(self._shots) > MOST_KEPT:
-            self._shots.popitem(last=False)
-        job = kept[1].job(frame)
-        # never the same as before: whether the array holds it is for the driver to know (`Driver.held`)
-        return Ready(job, f"{_digest_of_load(job)} frame {frame}", sources.digest(), samples_expected(job))
+        if kept is not None and kept.scene is scene:
+            wanted.check_frames(kept.jobs.scene)
+        else:
+            turn = wanted.turn
+            moving = scene if turn is None else turntable(scene, turn.frames, turn.turn_scene)
+            assert moving.shot is not None
+            wanted.check_frames(moving)
+            like = next((s.jobs for k, s in self._shots.items() if s.scene is scene and k.turn == turn), None)
+            middle = (moving.shot.frames + 1) // 2
+            jobs = ShotJobs(moving, self._shape, wanted.settings, middle, like=like)
+            kept = _Shot(scene, jobs, _digest_of_load(jobs.job(middle)))
+        _keep(self._shots, key, kept)
+        return kept
+
+
+def _keep(kept: OrderedDict[Any, Any], key: Hashable, value: object) -> None:
+    """Keep it as the one used last, and forget those not used for long."""
+    kept[key] = value
+    while len(kept) > MOST_KEPT:
+        kept.popitem(last=False)
 
 
 def _digest_of_load(job: Job) -> str:
@@ -107,3 +169,15 @@ def _digest_of_load(job: Job) -> str:
         for part in (batch.ids, batch.materials, batch.data, batch.starts):
             digest.update(part.tobytes())
     return digest.hexdigest()
+
+
+def _digest_of_moves(moves: Moves) -> str:
+    """A digest of which surfaces move together, and where they are: keys may be edited and all else stay."""
+    digest = hashlib.sha256(repr(moves.groups.many).encode())
+    for part in (moves.groups.firsts, moves.groups.ends, moves.groups.numbers, moves.motions):
+        digest.update(repr(part.shape).encode() + part.tobytes())
+    return f" {digest.hexdigest()}"
+
+
+def _digest_of_program(settings: Settings) -> str:
+    return "" if settings.program is None else f" {settings.program.digest}"

@@ -278,8 +278,11 @@ class Service:
         return answer
 
     async def _do_submit(self, client: Client, request: Submit) -> Message:
+        from raygrid.host.load import check_allowed
+
         if self._finishing or self._state == "ending":
             raise ArrayError(f"the array {self._name!r} is being taken down, and takes no more jobs")
+        check_allowed(request.program, self._options.programs)
         entry = self._jobs.submit(request)
         if request.follow:
             client.follows.add(entry.job)
@@ -369,6 +372,7 @@ class Service:
             "running": running,
             "frames": {name: self._counts[name] for name in ("done", "skipped", "failed")},
             "floods": self._worker.keeper.floods,
+            "increments": self._worker.keeper.increments,
             "resets": self._counts["resets"],
             "faults": {"count": self._fault_count, "last": list(self._faults)},
             "clients": len(self._door.clients),

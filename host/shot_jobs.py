@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from raygrid.emulator.split import SPLITS, split
-from raygrid.host.job import Job, Settings, make_frame, make_job
+from raygrid.host.job import Job, Settings, check_program, make_frame, make_job
 from raygrid.host.scene import Scene
 from raygrid.host.shot import Shot, moved_point, moving_batches, shot_bounds
 from raygrid.node.errors import SceneError
@@ -59,20 +59,35 @@ class ShotJobs:
 
     middle  the frame from which the planes are chosen
     wait    as of `raygrid.emulator.split.split`
+    like    jobs of the same scene with other settings: the surfaces are shared, so that an array goes on by increments
+            from theirs to these where the planes are the same
     Raises SceneError as `jobs_of` does.
     """
 
     def __init__(
-        self, scene: Scene, shape: Shape, settings: Settings, middle: int, wait: Callable[[], None] | None = None
+        self,
+        scene: Scene,
+        shape: Shape,
+        settings: Settings,
+        middle: int,
+        wait: Callable[[], None] | None = None,
+        like: ShotJobs | None = None,
     ) -> None:
+        check_program(scene, settings.program)
         if settings.split not in SPLITS:
             raise SceneError(f"a split came as {settings.split!r}, wanted one of {', '.join(SPLITS)}")
         assert scene.shot is not None
-        self._settings, self._shot = settings, _Machine(scene, scene.shot)
+        self._settings = settings
+        self._shot: _Machine = _Machine(scene, scene.shot) if like is None else like._shot
         shot, moves = self._shot, self._shot.moves(middle)
         there = SurfaceSet(tuple(placed(batch, moves) for batch in shot.surfaces))
         frame = make_frame(shot.scene_at(middle), shot.world, settings)
         self._space = split(settings.split, shape, shot.world, there, frame, wait)
+
+    @property
+    def scene(self) -> Scene:
+        """What they were made of; that of `like`, if they were made like others."""
+        return self._shot.scene
 
     def job(self, number: int) -> Job:
         """The job of a frame."""

@@ -18,7 +18,7 @@ from raygrid.host.outputs import write_whole
 from raygrid.host.simulate import Simulated
 from raygrid.node.packets import PacketKind
 from raygrid.node.pixels import UNIT
-from raygrid.node.surfaces import Kind
+from raygrid.node.surfaces import SURFACE_KINDS, Kind
 from raygrid.node.tables import BORN, BOXES, DIED, HITS, SENT, TESTS, WALKS
 from raygrid.node.timed import BUSY, ENDED, MOST_WAITING, PACKETS_SENT, SERVED, WAITED, WALKED
 from raygrid.node.walk import PORTS
@@ -94,7 +94,7 @@ def _total(phase: Phase, done: Simulated) -> dict[str, Any]:
         "died": {kind.name.lower(): int(counts[DIED + kind]) for kind in PacketKind},
         "hops": int(counts[SENT : SENT + PORTS].sum()),
         "walks": int(counts[WALKS]),
-        "tests": {kind.name.lower(): int(tests[kind]) for kind in Kind},
+        "tests": {kind.name.lower(): int(tests[kind]) if kind < len(tests) else 0 for kind in SURFACE_KINDS},
         "boxes": int(counts[BOXES]) if done.search == "tree" else 0,
         "hits": int(counts[HITS]),
     }

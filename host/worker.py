@@ -71,12 +71,14 @@ class Event(NamedTuple):
 
 @dataclass
 class Options:
-    """Of the array: processors on each axis, most packets a message, seconds until it is taken to hang."""
+    """Of the array: processors on each axis, most packets a message, seconds until it is taken to hang, its journal,
+    and whether it takes programs."""
 
     shape: tuple[int, int, int]
     batch: int = 4096
     patience: float = 30.0
     journal: Path = field(default_factory=Path)
+    programs: bool = False
 
 
 class Worker(threading.Thread):
@@ -100,6 +102,7 @@ class Worker(threading.Thread):
             self._look,
             batch=options.batch,
             patience=options.patience,
+            programs=options.programs,
             on_warming=lambda *now: post(
                 Event("warming", None, dict(zip(("done", "total", "what"), now, strict=True)))
             ),
@@ -211,6 +214,7 @@ class Worker(threading.Thread):
     # --- one frame ------------------------------------------------------------------------------------
 
     def _frame(self, task: Task) -> Event:
+        from raygrid.host.load import check_allowed
         from raygrid.host.outputs import check_path, check_picture_path, check_side
 
         assert self._store is not None
@@ -219,8 +223,9 @@ class Worker(threading.Thread):
         files = [path_of(pattern, task.frame) for pattern in request.outputs]
         stats = None if request.stats is None else path_of(request.stats, task.frame)
         self._tell(task, "read", 0.0, 0)
-        ready = self._store.frame(request.scene, request.job_settings(), task.frame or 0)
-        self._note(task, ready.job.scene.remarks)
+        check_allowed(request.program, self._options.programs)  # a job of the journal may have had another array
+        ready = self._store.frame(request.wanted(), task.frame)
+        self._note(task, ready.remarks)
         digest = ready.digest(task.frame, request.transfer)
         size = ready.job.frame.width, ready.job.frame.height
         facts = {"files": dict.fromkeys(files, digest), "skipped": False, "stats": stats}

@@ -25,7 +25,7 @@ from raygrid.node.errors import ArrayError
 from raygrid.node.flood import corners
 from raygrid.node.lattice import make_cell
 from raygrid.node.overlap import meets
-from raygrid.node.surfaces import MAX_MATERIALS, Kind
+from raygrid.node.surfaces import MAX_MATERIALS, SURFACE_KINDS, Kind
 from raygrid.node.tables import MATERIAL_COLUMNS
 
 SCENES = Path(__file__).parents[1] / "scenes"
@@ -137,7 +137,7 @@ def touching(made: Job, index) -> dict[str, int]:
     """How many surfaces of each kind touch a cell."""
     cell = make_cell(made.space, index)
     low, high = np.array(cell.low_at), np.array(cell.high_at)
-    counts = dict.fromkeys((kind.name.lower() for kind in Kind), 0)
+    counts = dict.fromkeys((kind.name.lower() for kind in SURFACE_KINDS), 0)
     for batch in made.surfaces:
         counts[batch.kind.name.lower()] += int(meets(batch, low, high).sum())
     return counts

@@ -16,7 +16,7 @@ from support_render import EIGHT, SCENES, rendered
 from support_terminal import HIDE, SHOW, Terminal
 
 from raygrid.host.cli import cli
-from raygrid.host.load import load_scene
+from raygrid.host.load import READERS, load_scene
 
 __all__ = ["warm_kernels"]
 
@@ -160,7 +160,7 @@ def test_info_says_what_is_in_a_scene():
     assert facts["name"] == "kinds.nff"
 
 
-@pytest.mark.parametrize("scene", sorted(path.name for path in SCENES.iterdir() if path.suffix not in (".mtl", ".md")))
+@pytest.mark.parametrize("scene", sorted(path.name for path in SCENES.iterdir() if path.suffix in READERS))
 def test_info_works_for_every_scene_of_ours(scene):
     outcome = here("info", str(SCENES / scene))
     assert (outcome.code, outcome.err) == (0, "")

@@ -4,9 +4,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support_cases import steady
+from support_render import SCENES
 
+from raygrid.host.frames import Turntable
 from raygrid.host.job import Settings
+from raygrid.host.program_file import read_program
 from raygrid.host.requests import Submit, read_job, read_request
+from raygrid.host.scene_store import Wanted
 from raygrid.host.wire import pack, unpack
 from raygrid.node.errors import ProtocolError
 
@@ -17,7 +21,14 @@ def test_a_job_has_the_settings_that_were_sent():
     settings = {"size": [64, 48], "samples": 4, "depth": 3, "min_weight": 0.5, "highlights": True, "split": "uniform"}
     request = read_request(unpack(pack(JOB | {"settings": settings})[4:]))
     assert isinstance(request, Submit)
-    assert request.job_settings() == Settings((64, 48), 4, 3, 0.5, True, "uniform")
+    assert request.wanted() == Wanted("/s.nff", Settings((64, 48), 4, 3, 0.5, True, "uniform"))
+
+
+def test_a_job_has_the_turntable_and_the_program_that_were_sent():
+    marble = str(SCENES / "programs" / "marble.py")
+    more = {"turntable": {"frames": 9, "scene": True}, "program": marble, "frames": [2, 2]}
+    wanted = read_job(read_request(unpack(pack(JOB | more)[4:])).model_dump(mode="json")).wanted()
+    assert wanted == Wanted("/s.nff", Settings(program=read_program(marble)), Turntable(9, True), (2, 2))
 
 
 def test_a_job_comes_back_from_the_journal_as_it_was():
@@ -34,6 +45,9 @@ def test_a_job_comes_back_from_the_journal_as_it_was():
         ({"scene": "/s\0.nff"}, "scene: .*absolute path"),
         ({"scene": "/" + "x" * 5000}, "scene: .*4096"),
         ({"scene": 7}, "scene: .*string"),
+        ({"program": "torus.py"}, "program: .*absolute path"),
+        ({"turntable": {"frames": 0}}, "turntable.frames: .*greater"),
+        ({"turntable": {"frames": 3, "speed": 1}}, "turntable.speed: .*not permitted"),
         ({"outputs": []}, "outputs: .*at least 1"),
         ({"outputs": ["/o.png"] * 17}, "outputs: .*at most 16"),
         ({"outputs": "/o.png"}, "outputs: .*list"),

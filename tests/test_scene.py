@@ -271,6 +271,9 @@ def test_suffixes_in_capitals(tmp_path):
         ("room.obj", 7428, 2),
         ("checker.obj", 512, 2),
         ("tree.nff", 2187, 7),
+        ("rings.toml", 10, 2),
+        ("marble.toml", 14, 1),
+        ("mobile.toml", 21, 2),
     ],
 )
 def test_our_scenes(name, surfaces, lights):

@@ -162,7 +162,7 @@ def test_an_included_file_is_the_whole_scene_to_begin_with(read):
 ERRORS = {
     "": "the file has no surfaces, wanted at least one surface",
     "a = = 1": "the TOML cannot be read (Invalid value (at line 1, column 5))",
-    BALL + "raduis = 1": "line 5: the key surfaces[0].raduis is unknown, wanted one of: kind, material, centre",
+    BALL + "raduis = 1": "line 5: the key surfaces[0].raduis is unknown, wanted one of: kind, material, group, centre",
     "size = 3\n" + BALL: "line 1: the key size is unknown, wanted one of: include, background",
     BALL + "[camera]\nfrm = [0, 0, 0]": "line 6: the key camera.frm is unknown, wanted one of: from, at",
     BALL + "[camera]\nat = [0, 0, 0]": "line 5: camera.from is missing",
