@@ -273,6 +273,8 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
     several = turntable is not None or machine["frames"] is not None
     if timed and (several or machine["program"] is not None):
         raise click.UsageError("--timed came with --frames, --turntable or --program, wanted one frame without a program")
+    if several and (machine["profile"] or machine["probe_record"] or machine["chrome_trace"]):
+        raise click.UsageError("--profile, --probe-record or --chrome-trace came with several frames, wanted a single one")
     outputs = outputs or default_outputs(scene, several)
     run_render(Request(scene, shape, outputs, **machine, settings=options, turntable=turntable))
 

@@ -49,6 +49,8 @@ MISUSE = [  # arguments after "raygrid render SCENE", the line between "raygrid 
     (["--split", "fair"], "--split: 'fair' is not one of 'balanced', 'uniform'."),
     (["--transfer", "gamma"], "--transfer: 'gamma' is not one of 'srgb', 'linear'."),
     (["--sise", "4"], r"No such option '?--sise'?\..*--size.*"),
+    (["--frames", "1-2", "--profile"], "--profile, .* came with several frames, wanted a single one"),
+    (["--frames", "1-2", "--timed"], "--timed came with --frames, .* wanted one frame without a program"),
     (["other.nff"], r"Got unexpected extra argument \(other.nff\)"),
 ]
 
