@@ -8,20 +8,17 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import os
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import Any
 
 import click
 
-if TYPE_CHECKING:
-    AnyType = click.ParamType[Any]
-else:
-    AnyType = click.ParamType  # not generic before click 8.4
+from raygrid.host import cli_inspect, cli_machine, cli_service
+from raygrid.host.cli_types import Fault, Frames, Number, Pair, Shape, debug_option
 
 DEBUG = "RAYGRID_DEBUG"
 
@@ -36,22 +33,6 @@ Examples:
   raygrid export scenes/kinds.nff -o kinds.pov
   raygrid up --array 2x2x2
   raygrid submit scenes/room.glb -o room.png
-"""
-SIMULATE_EXAMPLES = """\b
-Examples:
-  raygrid simulate scenes/room.glb --array 10x10x10 --cost 8086
-  raygrid simulate tetra_6.nff --array 50x50x50 --size 1000x1000 --split uniform --no-band -o tetra.png
-  raygrid simulate scenes/kinds.nff --array 4x4x1 --cost t800 --search tree --stats kinds.json --csv nodes.csv --plots .
-
-Machine seconds are those of the machine that the cost model describes. docs/machine-time.md says how time is counted,
-docs/costs.md what the cost models mean and where they come from.
-"""
-LAW_EXAMPLES = """\b
-Examples:
-  raygrid law tetra_6.nff --cost 8086
-  raygrid law tetra_5.nff mount_4.nff --square 1,2,4,8,16,32 --cubic 1,2,4,8,10 --size 32x32 --size 64x64 -o report
-
-Writes law.md, law.csv and a plot for each scene. docs/paper.md says what came out for the standard scenes.
 """
 RENDER_EXAMPLES = """\b
 Examples:
@@ -83,120 +64,9 @@ Examples:
 """
 
 
-class Pair(AnyType):
-    """Two whole numbers, `512x384`."""
-
-    name = "pair"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
-        """Raises a usage error for anything else."""
-        numbers = str(value).lower().split("x")
-        if len(numbers) != 2 or not all(number.isascii() and number.isdigit() for number in numbers):
-            self.fail(f"{_shorten(value)} came, wanted two whole numbers such as 512x384", param, ctx)
-        if any(len(number) > 9 or int(number) < 1 for number in numbers):
-            self.fail(f"{_shorten(value)} came, wanted sides of 1 to 65536", param, ctx)
-        return int(numbers[0]), int(numbers[1])
-
-
-class Shape(AnyType):
-    """An array, `2x2x2`."""
-
-    name = "shape"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int, int]:
-        """Raises a usage error for anything but three whole numbers of 1 or more."""
-        from raygrid.emulator.limits import parse_shape
-
-        if isinstance(value, tuple):
-            return value
-        try:
-            return parse_shape(str(value))
-        except ValueError as error:
-            self.fail(str(error), param, ctx)
-
-
-class Edges(AnyType):
-    """Edges of arrays, `1,2,4,8`."""
-
-    name = "edges"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
-        """Raises a usage error for anything but whole numbers of 1 to 1024 between commas."""
-        if isinstance(value, tuple):
-            return value
-        words = [word.strip() for word in str(value).split(",")]
-        if not all(word.isascii() and word.isdigit() and len(word) < 5 and 1 <= int(word) <= 1024 for word in words):
-            self.fail(f"{_shorten(value)} came, wanted edges of 1 to 1024 such as 1,2,4,8", param, ctx)
-        return tuple(sorted({int(word) for word in words}))
-
-
-class Frames(AnyType):
-    """Frames of a shot, `1-48` or `7`."""
-
-    name = "frames"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
-        """Raises a usage error for anything else."""
-        if isinstance(value, tuple):
-            return value
-        ends = str(value).split("-")
-        right = len(ends) <= 2 and all(end.isascii() and end.isdigit() and len(end) <= 7 for end in ends)
-        first, last = (int(ends[0]), int(ends[-1])) if right else (0, 0)
-        if not 1 <= first <= last:
-            self.fail(f"{_shorten(value)} came, wanted frames such as 1-48 or 7", param, ctx)
-        return first, last
-
-
-class Fault(AnyType):
-    """A fault for experiments, `drop:0.001:7`."""
-
-    name = "fault"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Raises a usage error for anything that `parse_fault` refuses."""
-        from raygrid.node.faulty import parse_fault
-
-        try:
-            return parse_fault(str(value))
-        except ValueError as error:
-            self.fail(str(error), param, ctx)
-
-
-class Number(AnyType):
-    """A number from `least` to `most`; whole if `least` is."""
-
-    name = "number"
-
-    def __init__(self, least: float, most: float) -> None:
-        self._least, self._most = least, most
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Raises a usage error for anything else, NaN too."""
-        whole = isinstance(self._least, int)
-        read: Callable[[str], float] = int if whole else float
-        try:
-            number = read(value) if len(str(value)) < 40 else math.nan
-        except ValueError:
-            number = math.nan
-        if not self._least <= number <= self._most:
-            kind = "whole number" if whole else "number"
-            self.fail(f"{_shorten(value)} came, wanted a {kind} from {self._least} to {self._most}", param, ctx)
-        return number
-
-
-def _shorten(value: Any) -> str:
-    text = str(value)
-    return repr(text if len(text) <= 40 else text[:37] + "...")
-
-
-def _debug_option(command: Callable[..., Any]) -> Callable[..., Any]:
-    """--debug, understood before and after the command's name; `main` looks for it before anything else."""
-    return click.option("--debug", is_flag=True, expose_value=False, help="Show the tracebacks of errors.")(command)
-
-
 @click.group(epilog=EXAMPLES, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="raygrid")
-@_debug_option
+@debug_option
 def cli() -> None:
     """The parallel ray tracing computer of 1983: processors that each own a box of space and talk to their neighbours."""
 
@@ -253,7 +123,7 @@ def cli() -> None:
               help="For experiments: links between neighbours drop, double, reorder, delay, corrupt or truncate this part "
                    "of their messages; --patience is then 3 at most.  [default rate: 0.0001]")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors. (Without a terminal there is hardly any.)")
-@_debug_option
+@debug_option
 def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **options: Any) -> None:
     """Render a scene file on an array of processes.
 
@@ -285,7 +155,7 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
               help="Processors on each axis.")
 @click.option("--allow-programs", is_flag=True, help="Launch an array that takes programs. They run with your rights.")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors.")
-@_debug_option
+@debug_option
 def load(program: str, shape: tuple[int, int, int], allow_programs: bool, quiet: bool) -> None:
     """Try a program on an array of processes.
 
@@ -297,90 +167,10 @@ def load(program: str, shape: tuple[int, int, int], allow_programs: bool, quiet:
     run_load(program, shape, allow_programs, quiet)
 
 
-# fmt: off
-@cli.command(epilog=SIMULATE_EXAMPLES)
-@click.argument("scene")
-@click.option("--array", "shape", type=Shape(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
-              help="Processors on each axis: 50x50x50 and more.")
-@click.option("--cost", default="8086", show_default=True, metavar="MODEL",
-              help="What work costs in ticks: 8086, 8086-soft, t800, unit, modern, or a .toml file.")
-@click.option("--search", type=click.Choice(["list", "tree"]),
-              help="How a node looks for hits: tests all it holds, or walks its hierarchy.  [default: the cost model's]")
-@click.option("--band/--no-band", default=True, show_default=True,
-              help="Low and high costs, too: three frames instead of one.")
-@click.option("--size", type=Pair(), metavar="WxH", help="As for render.")
-@click.option("--samples", type=Number(1, 1 << 32), metavar="N", help="As for render.")
-@click.option("--depth", type=Number(1, 31), metavar="N", help="As for render.")
-@click.option("--min-weight", type=Number(0.0, 1e30), metavar="WEIGHT", help="As for render.")
-@click.option("--highlights/--no-highlights", default=None, help="As for render.")
-@click.option("--split", type=click.Choice(["balanced", "uniform"]), default="balanced", show_default=True,
-              help="As for render.")
-@click.option("--transfer", type=click.Choice(["srgb", "linear"]), default="srgb", show_default=True,
-              help="As for render.")
-@click.option("-o", "--output", "outputs", multiple=True, type=click.Path(), metavar="FILE",
-              help="Picture, or .npy of the exact sums: the same bits as from render; may be repeated.")
-@click.option("--stats", type=click.Path(), metavar="FILE", help="Write what the machine did as JSON.")
-@click.option("--csv", "table", type=click.Path(), metavar="FILE", help="Write a row for each processor.")
-@click.option("--plots", type=click.Path(), metavar="FOLDER",
-              help="Write busy.png, links.png and time.png there (needs the extra `plots`).")
-@click.option("-q", "--quiet", is_flag=True, help="No talk but errors and results.")
-@_debug_option
-def simulate(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **options: Any) -> None:
-    """Simulate an array in machine time: how long a frame would take, and why.
-
-    All processors are simulated in one process, with the ray step, the packets and the walk of the real ones, so the
-    picture is the same, and so are the ticks of render --timed.
-
-    SCENE is a file of one of these kinds: .nff .obj .ply .stl .glb .gltf .toml
-    """
-    from raygrid.host.command_simulate import Request, run_simulate
-
-    names = ("cost", "search", "band", "stats", "table", "plots", "transfer", "quiet")
-    chosen = {name: options.pop(name) for name in names}
-    run_simulate(Request(scene, shape, outputs=outputs, **chosen, settings=options))
-
-
-@cli.command(epilog=LAW_EXAMPLES)
-@click.argument("scenes", nargs=-1, required=True)
-@click.option("--cost", default="8086", show_default=True, metavar="MODEL", help="As for simulate.")
-@click.option("--search", type=click.Choice(["list", "tree"]), help="As for simulate.")
-@click.option("--square", type=Edges(), default="1,2,3,4,6,8,12,16,24,32", show_default=True, metavar="N,N,...",
-              help="Edges of square arrays.")
-@click.option("--cubic", type=Edges(), default="1,2,3,4,6,8,10", show_default=True, metavar="N,N,...",
-              help="Edges of cubic arrays.")
-@click.option("--size", "pictures", type=Pair(), multiple=True, metavar="WxH",
-              help="Pixels, for the number of rays; may be repeated.  [default: 32x32, 64x64, 128x128]")
-@click.option("--axis", type=click.Choice(["x", "y", "z", "view"]), default="view", show_default=True,
-              help="The axis that square arrays leave whole; view: the one along which the camera looks.")
-@click.option("--depth", type=Number(1, 31), metavar="N", help="As for render.")
-@click.option("--split", type=click.Choice(["balanced", "uniform"]), default="uniform", show_default=True,
-              help="As for render.")
-@click.option("-o", "--output", "folder", type=click.Path(), default="law", show_default=True, metavar="FOLDER",
-              help="Where the report goes.")
-@click.option("-q", "--quiet", is_flag=True, help="No talk but errors and results.")
-@_debug_option
-def law(scenes: tuple[str, ...], folder: str, **options: Any) -> None:
-    """Fit the law of 1983 to simulated frames: T = A + B n + C R / n^2 on n x n processors, C R / n^3 on n x n x n.
-
-    Simulates every array with every picture, says how well the law holds, which size is best, and whether a square or
-    a cubic array does better with as many processors (needs the extra `law`).
-    """
-    from raygrid.host.command_law import Request, run_law
-
-    pictures = options["pictures"] or ((32, 32), (64, 64), (128, 128))
-    along = None if options["axis"] == "view" else "xyz".index(options["axis"])
-    settings = {name: options[name] for name in ("depth", "split") if options[name] is not None}
-    edges = {"square": options["square"], "cubic": options["cubic"]}
-    command = " ".join(["raygrid", *sys.argv[1:]])
-    cost, search, quiet = options["cost"], options["search"], options["quiet"]
-    run_law(Request(scenes, cost, search, edges, pictures, along, folder, quiet, command, settings))
-# fmt: on
-
-
 @cli.command(epilog=INFO_EXAMPLES)
 @click.argument("scene")
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
-@_debug_option
+@debug_option
 def info(scene: str, as_json: bool) -> None:
     """Say what is in a scene file.
 
@@ -405,7 +195,7 @@ def info(scene: str, as_json: bool) -> None:
     metavar="FILE",
     help="File to write.  [default: the scene's name with .pov, here]",
 )
-@_debug_option
+@debug_option
 def export(scene: str, depth: int | None, highlights: bool | None, output: str | None) -> None:
     """Write a scene file for POV-Ray 3.7.
 
@@ -417,11 +207,9 @@ def export(scene: str, depth: int | None, highlights: bool | None, output: str |
     write_result(export_file(scene, output, depth, highlights))
 
 
-from raygrid.host.cli_inspect import add_commands as _add_inspect_commands  # noqa: E402  (and so does it)
-from raygrid.host.cli_service import add_commands as _add_service_commands  # noqa: E402  (it uses the types above)
-
-_add_service_commands(cli, render, _debug_option)
-_add_inspect_commands(cli, _debug_option)
+cli_machine.add_commands(cli)
+cli_service.add_commands(cli, render, debug_option)
+cli_inspect.add_commands(cli, debug_option)
 
 
 def _lines(facts: dict[str, Any], indent: str = "") -> Iterator[str]:

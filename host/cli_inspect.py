@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from raygrid.host.cli import AnyType, Number, Pair, Shape
 from raygrid.host.cli_service import ArrayName
+from raygrid.host.cli_types import AnyType, Number, Pair, Shape
 
 Command = Callable[..., Any]
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from raygrid.host.cli import AnyType, Number, Shape
+from raygrid.host.cli_types import AnyType, Number, Shape
 
 # Options of `render` that a job has, too; the others belong to the array, and so to `up`.
 SETTINGS = ("size", "samples", "depth", "min_weight", "highlights", "split")

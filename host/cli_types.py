@@ -1,0 +1,125 @@
+"""Types of options, and the option that every command has."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    AnyType = click.ParamType[Any]
+else:
+    AnyType = click.ParamType  # not generic before click 8.4
+
+
+class Pair(AnyType):
+    """Two whole numbers, `512x384`."""
+
+    name = "pair"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        """Raises a usage error for anything else."""
+        numbers = str(value).lower().split("x")
+        if len(numbers) != 2 or not all(number.isascii() and number.isdigit() for number in numbers):
+            self.fail(f"{shorten(value)} came, wanted two whole numbers such as 512x384", param, ctx)
+        if any(len(number) > 9 or int(number) < 1 for number in numbers):
+            self.fail(f"{shorten(value)} came, wanted sides of 1 to 65536", param, ctx)
+        return int(numbers[0]), int(numbers[1])
+
+
+class Shape(AnyType):
+    """An array, `2x2x2`."""
+
+    name = "shape"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int, int]:
+        """Raises a usage error for anything but three whole numbers of 1 or more."""
+        from raygrid.emulator.limits import parse_shape
+
+        if isinstance(value, tuple):
+            return value
+        try:
+            return parse_shape(str(value))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
+class Edges(AnyType):
+    """Edges of arrays, `1,2,4,8`."""
+
+    name = "edges"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
+        """Raises a usage error for anything but whole numbers of 1 to 1024 between commas."""
+        if isinstance(value, tuple):
+            return value
+        words = [word.strip() for word in str(value).split(",")]
+        if not all(word.isascii() and word.isdigit() and len(word) < 5 and 1 <= int(word) <= 1024 for word in words):
+            self.fail(f"{shorten(value)} came, wanted edges of 1 to 1024 such as 1,2,4,8", param, ctx)
+        return tuple(sorted({int(word) for word in words}))
+
+
+class Frames(AnyType):
+    """Frames of a shot, `1-48` or `7`."""
+
+    name = "frames"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        """Raises a usage error for anything else."""
+        if isinstance(value, tuple):
+            return value
+        ends = str(value).split("-")
+        right = len(ends) <= 2 and all(end.isascii() and end.isdigit() and len(end) <= 7 for end in ends)
+        first, last = (int(ends[0]), int(ends[-1])) if right else (0, 0)
+        if not 1 <= first <= last:
+            self.fail(f"{shorten(value)} came, wanted frames such as 1-48 or 7", param, ctx)
+        return first, last
+
+
+class Fault(AnyType):
+    """A fault for experiments, `drop:0.001:7`."""
+
+    name = "fault"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Raises a usage error for anything that `parse_fault` refuses."""
+        from raygrid.node.faulty import parse_fault
+
+        try:
+            return parse_fault(str(value))
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+
+
+class Number(AnyType):
+    """A number from `least` to `most`; whole if `least` is."""
+
+    name = "number"
+
+    def __init__(self, least: float, most: float) -> None:
+        self._least, self._most = least, most
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Raises a usage error for anything else, NaN too."""
+        whole = isinstance(self._least, int)
+        read: Callable[[str], float] = int if whole else float
+        try:
+            number = read(value) if len(str(value)) < 40 else math.nan
+        except ValueError:
+            number = math.nan
+        if not self._least <= number <= self._most:
+            kind = "whole number" if whole else "number"
+            self.fail(f"{shorten(value)} came, wanted a {kind} from {self._least} to {self._most}", param, ctx)
+        return number
+
+
+def shorten(value: Any) -> str:
+    text = str(value)
+    return repr(text if len(text) <= 40 else text[:37] + "...")
+
+
+def debug_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    """--debug, understood before and after the command's name; `main` looks for it before anything else."""
+    return click.option("--debug", is_flag=True, expose_value=False, help="Show the tracebacks of errors.")(command)
