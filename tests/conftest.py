@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import secrets
 from collections.abc import Iterator
 
@@ -41,6 +42,11 @@ def nothing_left() -> Iterator[None]:
     os.environ.pop(MARK) if before is None else os.environ.update({MARK: before})
     if left:
         pytest.fail("the tests of this file left behind:\n" + "\n".join(f"  {line}" for line in left), pytrace=False)
+
+
+def pytest_configure() -> None:
+    """A shell lets what it starts in the background ignore Ctrl-C, and children inherit that: tests of it would hang."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture
