@@ -6,6 +6,7 @@ The service hands it tasks and interrupts it; it answers by events, each handed 
 from __future__ import annotations
 
 import contextlib
+import errno
 import queue
 import sys
 import threading
@@ -298,4 +299,6 @@ def _told(error: BaseException) -> str:
     if isinstance(error, MemoryError):
         return "out of memory"
     traceback.print_exception(error, file=sys.stderr)
+    if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
+        return f"the array's service may open no more files: {line}"
     return f"a bug: {type(error).__name__}: {line} (the array's log has more)"

@@ -179,7 +179,9 @@ def truth() -> np.ndarray:
 
 @pytest.mark.usefixtures("no_leftovers")
 @pytest.mark.timeout(200)
-@pytest.mark.parametrize("kind", FAULT_KINDS)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=pytest.mark.slow) if kind == "drop" else kind for kind in FAULT_KINDS]
+)  # what is dropped is found by patience
 def test_the_picture_is_right_or_there_is_none(kind):
     with Array.launch(SHAPE, batch=64, fault=FaultPlan(kind, 0.002, 1)) as array:
         pictures = 0

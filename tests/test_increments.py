@@ -23,7 +23,7 @@ from raygrid.node.lattice import make_cell
 from raygrid.node.motions import anchors, at_rest, make_groups, move_order, placed
 from raygrid.node.overlap import meets
 
-SHAPES = ["2x2x2", "4x3x1", "3x3x3"]
+SHAPES = ["2x2x2", "4x3x1", pytest.param("3x3x3", marks=pytest.mark.slow)]
 
 pytestmark = pytest.mark.usefixtures("quick_records", "compiled")
 

@@ -194,6 +194,7 @@ def test_a_program_s_surface_in_a_shot_moves_by_increments():
         assert np.array_equal(render_job(array.driver, job).sums, render_job(alone.driver, other).sums)
 
 
+@pytest.mark.slow  # compiles one more program
 def test_a_background_is_seen_by_rays_that_miss_the_world_too(tmp_path):
     (tmp_path / "sky.py").write_text(SKY)
     array = in_memory((2, 1, 1))
