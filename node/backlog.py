@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import lean
+from .compiled import lean, part
 from .packets import PIXEL, RETURN, SHADOW, SIZE, Limits, copy_packet, fault
 from .step import HEAD
 
@@ -34,8 +34,8 @@ class Stacks(NamedTuple):
     ray_ports: Bytes
 
 
-@lean
-def _sort_in(message, count, port, bounds, stacks, held):
+@part
+def sort(message, count, port, bounds, stacks, held):
     """Check `count` packets of a message and put each on the stack of its class; (first bad one or -1, its fault).
 
     bounds: int64, the fields of Limits; held: int64, packets on each stack, updated.
@@ -63,15 +63,21 @@ def _sort_in(message, count, port, bounds, stacks, held):
     return -1, 0
 
 
+@lean
+def _sort_in(message, count, port, bounds, stacks, held):
+    return sort(message, count, port, bounds, stacks, held)
+
+
 class Backlog:
     """The stacks of a node.
 
+    bounds  int64 (7,), the fields of `Limits` of the frame
     stacks  their buffers; a new tuple whenever one has grown
     count   int64 (CLASSES + 1,): packets on each, and the most that waited at once
     """
 
     def __init__(self) -> None:
-        self._bounds = np.zeros(7, np.int64)
+        self.bounds = np.zeros(7, np.int64)
         self.clear()
 
     @property
@@ -102,7 +108,7 @@ class Backlog:
 
     def set_limits(self, limits: Limits) -> None:
         """What packets of the frame may name."""
-        self._bounds = np.array([*limits[:4], *limits.shape], np.int64)
+        self.bounds = np.array([*limits[:4], *limits.shape], np.int64)
 
     def make_room(self, *more: int) -> None:
         """Room for so many more packets of each class, by doubling."""
@@ -123,5 +129,5 @@ class Backlog:
     def sort_in(self, message: bytes, count: int, port: int) -> tuple[int, int]:
         """Take in a PACKETS message whose length was checked; (number, fault) of the first bad packet, or (-1, 0)."""
         self.make_room(count, count, count)
-        number, bad = _sort_in(np.frombuffer(message, np.uint8), count, port, self._bounds, self.stacks, self.count)
+        number, bad = _sort_in(np.frombuffer(message, np.uint8), count, port, self.bounds, self.stacks, self.count)
         return int(number), int(bad)

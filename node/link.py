@@ -39,6 +39,14 @@ from .messages import (
 from .packets import SIZE
 from .step import HEAD
 
+# places in a link's book: whole numbers that compiled code keeps, too (`node.rounds`)
+SOCKET, REGULAR, EPOCH = 0, 1, 2  # address of its ZeroMQ socket, 0: not for compiled code; `Link.regular`; epoch
+SENT, RECEIVED = 3, 4  # messages, and so the sequence numbers of the next ones
+DATA_SENT, CREDIT = 5, 6  # messages with data: sent, and of these processed by the peer
+DATA_DONE, DATA_DONE_TOLD = 7, 8  # of the peer's: processed, and of these told to it
+MESSAGES_SENT, BYTES_SENT = 9, 10
+BOOK = 11
+
 MESSAGE_OVERHEAD = 250  # bytes, more than a message that waits here takes beside its payload
 
 
@@ -83,17 +91,16 @@ class Link:
         self.channel = channel
         self.name = name
         self.epoch = epoch
+        self._book = memoryview(np.zeros(BOOK, np.int64))
         self.state = State.NEW
         self._identity = {**identity, "version": VERSION}
         self._peer = {**peer, "version": VERSION}
         self._heard = self._acknowledged = self._bye_heard = self._bye_answered = False
-        self._sent = self._received = 0  # sequence numbers
-        self._data_sent = self._data_done = self._data_done_told = 0
-        self._credit = 0  # data messages of ours that the peer has processed
+        self._book[EPOCH] = epoch
         # data without credit, and orders that the channel had no room for; to be looked at, not changed, from outside
         self.queued: deque[tuple[MessageKind, int, bytes]] = deque()
         self.urgent: deque[tuple[MessageKind, bytes]] = deque()
-        self.messages_sent = self.bytes_sent = self.stale = 0
+        self.stale = 0
         self.most_waiting = self.most_waiting_bytes = self._waiting_bytes = 0
         self._post(MessageKind.HELLO, pack_order(self._identity))
 
@@ -152,8 +159,8 @@ class Link:
 
     def grant(self, messages: int = 1) -> None:
         """Say that this many data messages from the peer have been processed."""
-        self._data_done += messages
-        if self._data_done - self._data_done_told >= WINDOW // 2 and self.state is State.UP:
+        self._book[DATA_DONE] += messages
+        if self._book[DATA_DONE] - self._book[DATA_DONE_TOLD] >= WINDOW // 2 and self.state is State.UP:
             self._post(MessageKind.CREDIT, b"")
 
     def give_up(self) -> None:
@@ -179,10 +186,10 @@ class Link:
         self.most_waiting_bytes = max(self.most_waiting_bytes, self._waiting_bytes)
 
     def _may_send_data(self) -> bool:
-        return self.state == State.UP and self._data_sent - self._credit < WINDOW
+        return self.state == State.UP and self._book[DATA_SENT] - self._book[CREDIT] < WINDOW
 
     def _header(self, kind: MessageKind, count: int) -> tuple[int, int, int, int, int]:
-        return (int(kind), self.epoch, self._sent & 0xFFFFFFFF, self._data_done & 0xFFFFFFFF, count)
+        return (int(kind), self.epoch, self._book[SENT] & 0xFFFFFFFF, self._book[DATA_DONE] & 0xFFFFFFFF, count)
 
     def _post(self, kind: MessageKind, payload: bytes) -> None:
         if self.urgent or not self._send_now(kind, 0, payload):
@@ -196,11 +203,11 @@ class Link:
         return True
 
     def _count_sent(self, size: int, data: bool) -> None:
-        self._sent += 1
-        self._data_sent += data
-        self._data_done_told = self._data_done
-        self.messages_sent += 1
-        self.bytes_sent += size
+        self._book[SENT] += 1
+        self._book[DATA_SENT] += data
+        self._book[DATA_DONE_TOLD] = self._book[DATA_DONE]
+        self._book[MESSAGES_SENT] += 1
+        self._book[BYTES_SENT] += size
 
     # --- receiving -------------------------------------------------------------------------------
 
@@ -230,21 +237,21 @@ class Link:
         return None
 
     def _check_order(self, sequence: int, kind: MessageKind) -> None:
-        if sequence != self._received & 0xFFFFFFFF:
+        if sequence != self._book[RECEIVED] & 0xFFFFFFFF:
             raise ProtocolError(
-                f"link {self.name}: message {sequence} ({kind.name}) came, wanted {self._received}: "
+                f"link {self.name}: message {sequence} ({kind.name}) came, wanted {self._book[RECEIVED]}: "
                 "messages were lost, doubled or out of order"
             )
-        self._received += 1
+        self._book[RECEIVED] += 1
 
     def _take_credit(self, credit: int) -> None:
-        gained = (credit - self._credit) & 0xFFFFFFFF
-        if gained > self._data_sent - self._credit:
+        gained = (credit - self._book[CREDIT]) & 0xFFFFFFFF
+        if gained > self._book[DATA_SENT] - self._book[CREDIT]:
             raise ProtocolError(
-                f"link {self.name}: the peer says it has processed {credit} messages, {self._data_sent} were sent"
+                f"link {self.name}: the peer says it has processed {credit} messages, {self._book[DATA_SENT]} were sent"
             )
         if gained:
-            self._credit += gained
+            self._book[CREDIT] += gained
             self.push()
 
     def _is_for_link(self, kind: MessageKind, message: bytes) -> bool:
@@ -298,20 +305,40 @@ class Link:
         if self._bye_heard and self._bye_answered and not self.urgent:
             self.state = State.CLOSED
 
+    def keep_book(self, row: NDArray[np.int64]) -> None:
+        """Keep the book in this row, int64 (BOOK,), from now on."""
+        row[:] = self._book
+        self._book = memoryview(row)
+
+    @property
+    def regular(self) -> bool:
+        """Whether packets may come and go, and nothing waits to be sent: then compiled code may serve the link."""
+        return self.state is State.UP and not (self._bye_heard or self.queued or self.urgent)
+
+    @property
+    def messages_sent(self) -> int:
+        """Messages that were sent so far."""
+        return self._book[MESSAGES_SENT]
+
+    @property
+    def bytes_sent(self) -> int:
+        """Bytes that were sent so far."""
+        return self._book[BYTES_SENT]
+
     @property
     def data_sent(self) -> int:
         """Messages with packets or surfaces that were sent so far."""
-        return self._data_sent
+        return self._book[DATA_SENT]
 
     @property
     def data_done(self) -> int:
         """Messages with packets or surfaces from the peer that were processed so far."""
-        return self._data_done
+        return self._book[DATA_DONE]
 
     @property
     def received(self) -> int:
         """Messages that came so far."""
-        return self._received
+        return self._book[RECEIVED]
 
     @property
     def peer_left(self) -> bool:

@@ -18,6 +18,7 @@ from .probe import Probe, read_rate
 from .processor import Processor
 from .reset import read_reset
 from .walk import HOST, OPPOSITE
+from .wired import Wired
 
 PORT_NAMES = ("-x", "+x", "-y", "+y", "-z", "+z", "host")
 CHOKED_SECONDS = 0.002  # a socket without room for what a link may send is tried again after this
@@ -135,6 +136,8 @@ def _serve(
     index, shape = tuple(config["index"]), tuple(config["shape"])
     kind = processor_class(config)
     processor = kind(index, shape, open_links(config, channels), config["batch"], programs=bool(config.get("programs")))
+    if kind is Processor:  # what keeps machine time takes other messages
+        processor.wire(Wired(processor.links, pairs, timed=bool(config.get("profile"))))
     faults = [channel for channel in channels.values() if isinstance(channel, Faulty)]
     if config.get("profile"):
         from .profile import Profile
@@ -150,18 +153,20 @@ def _serve(
         patience = _patience(processor, probe)
         for ready, _ in poller.poll(tend(faults, patience) if faults else patience):
             if ready in ports:
-                processor.receive(ports[ready])
+                if not processor.serves_itself(ports[ready]):
+                    processor.receive(ports[ready])
                 continue
             for order in _orders(line, config, probe):
                 return order
             if ready == life or line.closed:
                 return None
-        if processor.gathers:
+        gathered = processor.gathers
+        if gathered:
             time.sleep(processor.linger)
             for ready, _ in poller.poll(0):
-                if ready in ports:  # the rest is looked at in a moment
+                if ready in ports and not processor.serves_itself(ports[ready]):  # the rest is looked at in a moment
                     processor.receive(ports[ready])
-        processor.work()
+        processor.work(patient=not gathered)
         if probe.wanted:
             probe.maybe_speak(processor, config["epoch"])
     poller.unregister(line.fileno())

@@ -111,7 +111,8 @@ def read_u48(buffer, at):
 
 
 @part
-def _write(buffer, at, value, size):
+def write(buffer, at, value, size):
+    """Put a whole number into `size` bytes, the least first."""
     for k in range(size):
         buffer[at + k] = np.uint8((value >> (8 * k)) & 0xFF)
 
@@ -191,49 +192,49 @@ def unpack_shadow_weight(bits):
 def put_ray(buffer, at, kind, depth, sample, origin, codes, weight):
     """Write a primary, reflected or refracted ray. `origin`: three lattice coordinates, `codes`: direction."""
     buffer[at] = np.uint8(kind | (depth << 3))
-    _write(buffer, at + 1, sample, 4)
-    _write(buffer, at + 5, origin[0], 3)
-    _write(buffer, at + 8, origin[1], 3)
-    _write(buffer, at + 11, origin[2], 3)
-    _write(buffer, at + 14, codes[0], 3)
-    _write(buffer, at + 17, codes[1], 3)
-    _write(buffer, at + 20, weight, 5)
+    write(buffer, at + 1, sample, 4)
+    write(buffer, at + 5, origin[0], 3)
+    write(buffer, at + 8, origin[1], 3)
+    write(buffer, at + 11, origin[2], 3)
+    write(buffer, at + 14, codes[0], 3)
+    write(buffer, at + 17, codes[1], 3)
+    write(buffer, at + 20, weight, 5)
 
 
 @part
 def put_shadow(buffer, at, depth, sample, origin, light, weights):
     """Write a shadow ray. `weights`: three floats, the intensity it adds if it reaches the light."""
     buffer[at] = np.uint8(SHADOW | (depth << 3))
-    _write(buffer, at + 1, sample, 4)
-    _write(buffer, at + 5, origin[0], 3)
-    _write(buffer, at + 8, origin[1], 3)
-    _write(buffer, at + 11, origin[2], 3)
-    _write(buffer, at + 14, light, 2)
+    write(buffer, at + 1, sample, 4)
+    write(buffer, at + 5, origin[0], 3)
+    write(buffer, at + 8, origin[1], 3)
+    write(buffer, at + 11, origin[2], 3)
+    write(buffer, at + 14, light, 2)
     for k in range(3):
-        _write(buffer, at + 16 + 3 * k, pack_shadow_weight(weights[k]), 3)
+        write(buffer, at + 16 + 3 * k, pack_shadow_weight(weights[k]), 3)
 
 
 @part
 def put_return(buffer, at, depth, sample, intensity, home):
     """Write a return packet. `intensity`: three binary32, `home`: cell of the sample's home."""
     buffer[at] = np.uint8(RETURN | (depth << 3))
-    _write(buffer, at + 1, sample, 4)
+    write(buffer, at + 1, sample, 4)
     for k in range(3):
         # a product of bright things may be infinite
         finite = np.float32(min(np.float64(intensity[k]), LARGEST_BINARY32))
-        _write(buffer, at + 5 + 4 * k, np.int64(finite.view(np.uint32)), 4)
-        _write(buffer, at + 17 + 2 * k, home[k], 2)
-    _write(buffer, at + 23, np.int64(0), 2)
+        write(buffer, at + 5 + 4 * k, np.int64(finite.view(np.uint32)), 4)
+        write(buffer, at + 17 + 2 * k, home[k], 2)
+    write(buffer, at + 23, np.int64(0), 2)
 
 
 @part
 def put_pixel(buffer, at, pixel, sums, samples):
     """Write a pixel packet. `sums`: three integers below 2^48, `samples` below 2^16."""
     buffer[at] = np.uint8(PIXEL)
-    _write(buffer, at + 1, pixel, 4)
+    write(buffer, at + 1, pixel, 4)
     for k in range(3):
-        _write(buffer, at + 5 + 6 * k, sums[k], 6)
-    _write(buffer, at + 23, samples, 2)
+        write(buffer, at + 5 + 6 * k, sums[k], 6)
+    write(buffer, at + 23, samples, 2)
 
 
 @part

@@ -21,6 +21,7 @@ class Pair:
 
     def __init__(self, context: zmq.Context[zmq.Socket[bytes]], endpoint: str, bind: bool) -> None:
         self.endpoint = endpoint
+        self._put_back: bytes | None = None
         self.socket = context.socket(zmq.PAIR)
         self.socket.setsockopt(zmq.LINGER, 0)
         self.socket.setsockopt(zmq.MAXMSGSIZE, MAX_MESSAGE)
@@ -47,12 +48,19 @@ class Pair:
 
     def receive(self) -> bytes | None:
         """The next message, or None. Raises ProtocolError for a message of several parts."""
+        if self._put_back is not None:
+            message, self._put_back = self._put_back, None
+            return message
         if not int(self.socket.getsockopt(EVENTS)) & POLLIN:  # cheaper than the exception that says so
             return None
-        message: bytes = self.socket.recv(NOBLOCK)
+        message = self.socket.recv(NOBLOCK)
         if self.socket.getsockopt(RCVMORE):
             raise ProtocolError(f"{self.endpoint}: a message of several parts came, wanted one")
         return message
+
+    def put_back(self, message: bytes) -> None:
+        """Let this message, which was received by other means, be the next one."""
+        self._put_back = message
 
     def close(self) -> None:
         """Close at once; the link has said its goodbyes."""

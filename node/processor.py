@@ -43,12 +43,13 @@ from .overlap import meets
 from .packets import FAULTS, PacketKind
 from .surfaces import SURFACE_KINDS, AnyKind, Batch
 from .tables import BORN, BOXES, COUNTS, DIED, HITS, SENT, TESTS, WALKS
-from .tracer import Tracer
+from .tracer import FLUSH, Tracer
 from .trial import ready_program
+from .turn import IDLE
 from .usage import peak_memory, private_memory
 from .walk import HOST, PORTS
+from .wired import Wired
 
-FLUSH = 256  # packets for which an output is sent although there is work, unless the root says otherwise
 PHASES = {
     "space": "load",
     "frame": "trace",
@@ -97,7 +98,9 @@ class Processor:
         self._halted = self._built = False
         self.refused: Counter[str] = Counter()
         self._cpu_at_frame = 0.0
-        self._gather, self.linger, self._flush_at = 0, 0.0, min(FLUSH, batch)
+        self.linger = 0.0
+        self.tracer.flush, self.tracer.batch = min(FLUSH, batch), batch
+        self._wired: Wired | None = None
         self._ports = list(links.items())
         self.choked = self._up = False
         self.phase = "idle"  # load, trace, collect or idle: for the probes
@@ -123,31 +126,49 @@ class Processor:
         """A message that only processors of another sort take. Raises ProtocolError."""
         raise ProtocolError(f"link {link.name}: {arrival.kind.name} came on a port where it cannot come from")
 
-    def work(self) -> bool:
-        """Do one piece of work; whether there is more."""
+    def wire(self, wired: Wired) -> None:
+        """Let compiled code serve some of the links while a frame is traced."""
+        self._wired, self.tracer.wires = wired, wired.wires
+
+    def serves_itself(self, port: int) -> bool:
+        """Whether `work` receives what comes over a link, so that `receive` need not be called for it."""
+        return self._wired is not None and self.tracer.frame is not None and self._wired.serves(port)
+
+    def work(self, patient: bool = False) -> bool:
+        """Do one piece of work; whether there is more. `patient`: if it is better to gather, do no more than that."""
         if self._surfaces:
             self._take_surfaces()
         if self.tracer.increments.pending:
             self._hand_on()
-        if self.tracer.has_work:
-            self._trace()
+        if self.tracer.has_work or (self._wired is not None and self.tracer.frame is not None):
+            self._trace(patient)
         self._flush()
         if self._wave is not None:
             self._maybe_answer()
         return self.busy
 
-    def _trace(self) -> None:
-        """Work on packets. What a program raises is refused, with the packets that it was working on."""
-        if self.tracer.program is None:
-            self.tracer.work()
+    def _trace(self, patient: bool) -> None:
+        """Work on packets, those too that come meanwhile over links that compiled code serves."""
+        if self._wired is None:
+            self._work_on_packets(patient)
             return
+        self._wired.begin()
+        port = self._wired.end(self._work_on_packets(patient))
+        if port is not None:
+            self.receive(port)
+
+    def _work_on_packets(self, patient: bool) -> int:
+        """What a program raises is refused, with the packets that it was working on. Returns why work ended."""
         try:
-            self.tracer.work()
+            return self.tracer.work(patient)
         except Exception as error:
+            if self.tracer.program is None:
+                raise
             name = self.tracer.program.program.name
             self._refuse(f"node {self.index}: the program {name} raises: {type(error).__name__}: {error}")
             self.tracer.forget_frame()
             self._halted = True
+            return IDLE
 
     @property
     def busy(self) -> bool:
@@ -163,7 +184,7 @@ class Processor:
         costs more than the packets that it serves, unless they are many.
         """
         tracer = self.tracer
-        return 0 < tracer.backlog.held < self._gather and not (tracer.quota > 0 and tracer.samples_left)
+        return 0 < tracer.backlog.held < tracer.gather and not (tracer.quota > 0 and tracer.samples_left)
 
     def wait_limit(self) -> float | None:
         """Seconds after which `work` must be called even if nothing arrives; None: never."""
@@ -200,7 +221,7 @@ class Processor:
         """Send the outputs that are full enough, all of them when there is nothing else to do."""
         outputs = self.tracer.outputs
         held = outputs.held.tolist()
-        least = self._flush_at if self.tracer.has_work else 1
+        least = self.tracer.flush if self.tracer.has_work else 1
         self.choked = False
         for port, link in self._ports:
             if link.queued or link.urgent:
@@ -347,7 +368,7 @@ class Processor:
             raise ProtocolError(
                 f"gather, linger and flush came as {gather!r}, {linger!r}, {flush!r}, wanted packets, seconds, packets"
             )
-        self._gather, self.linger, self._flush_at = gather, linger, max(1, min(flush, self.batch))
+        self.tracer.gather, self.linger, self.tracer.flush = gather, linger, max(1, min(flush, self.batch))
 
     def _maybe_answer(self) -> None:
         """Answer the wave once the children have and this node is ready to."""

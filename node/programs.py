@@ -62,10 +62,10 @@ class Program(NamedTuple):
 
 
 class Compiled(NamedTuple):
-    """A program in the ray step: functions that take the place of `turn.turn` and `misses.add_missed`."""
+    """A program in the ray step: functions that take the place of `rounds.go` and `misses.add_missed`."""
 
     program: Program
-    turn: Callable[..., Any]
+    go: Callable[..., Any]
     add_missed: Callable[..., Any]
 
 
@@ -204,7 +204,8 @@ def _linked(program: Program, file: Path) -> Compiled:
     step = _again(program, "step", taken | {name: traverse[name] for name in ("closest", "blocked")})
     misses = _again(program, "misses", {"edge_colour": into["edge_colour"]})
     turn = _again(program, "turn", {"step": step["step"]})
-    return Compiled(program, turn["turn"], misses["add_missed"])
+    rounds = _again(program, "rounds", {"turn": turn["turn"]})
+    return Compiled(program, rounds["go"], misses["add_missed"])
 
 
 def _again(program: Program, name: str, instead: dict[str, Any]) -> dict[str, Any]:

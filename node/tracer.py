@@ -18,13 +18,15 @@ from .packets import PIXEL, SIZE, Limits
 from .pixels import Pixels, make_pixels, send_pixels
 from .programs import Compiled
 from .refit import WORSE, expected_cost
+from .rounds import go, no_wires
 from .step import HEAD, make_outputs
 from .surfaces import AddedKind, Batch, SurfaceSet, merge
 from .tables import BORN, COUNTS, DIED, SENT, Frame, frame_limits
-from .turn import ADMIT_AT_ONCE, ADMIT_BELOW, CROWDED, PORTION, TURN, turn
+from .turn import ADMIT_AT_ONCE, ADMIT_BELOW, CROWDED, IDLE, PORTION, TURN
 from .walk import HOST, OUTPUTS, SELF_RAYS
 
 CHUNK = 8192  # pixel packets sent in a turn
+FLUSH = 256  # packets for which an output is sent although there is work, unless the root says otherwise
 ROOM = 16384  # packets that an output holds
 
 
@@ -48,7 +50,9 @@ class Tracer:
         self.increments = Increments()
         self.program: Compiled | None = None
         self.ready: Compiled | None = None  # a program that is to be used next
-        self._turn = turn
+        self._go = go
+        self.wires = no_wires()
+        self.flush, self.gather, self.batch = FLUSH, 0, FLUSH
         self._stale = False  # whether what is retained has changed since the tables were made
         self._built_cost = 0.0  # expected cost of the hierarchy when it was built, 0: not worked out
         self.surfaces = empty_surfaces()
@@ -114,7 +118,7 @@ class Tracer:
     def use_ready(self) -> None:
         """Let the program that is ready take the place of the one before; none: the step without a program."""
         self.program = self.ready
-        self._turn = turn if self.program is None else self.program.turn
+        self._go = go if self.program is None else self.program.go
 
     def check_known(self, batch: Batch) -> None:
         """Raise ProtocolError for programmed surfaces where no program says what they are."""
@@ -159,33 +163,39 @@ class Tracer:
         """Whether `work` would do anything."""
         return self.backlog.held > 0 or (self.quota > 0 and self.samples_left) or self.collecting >= 0
 
-    def work(self) -> None:
-        """One turn over the most urgent packets, in which primaries are born if few rays wait."""
+    def work(self, patient: bool = False) -> int:
+        """Go rounds over the links and the most urgent packets (`node.rounds`), or send pixels if none wait.
+
+        patient   whether even the first turn should wait until `gather` packets are here
+        Returns why the rounds ended.
+        """
         if self.frame is None:
-            return
+            return IDLE
         backlog = self.backlog
-        if backlog.held or (self.quota > 0 and self.samples_left):
-            if self._crowded:
-                births = PORTION * max(self.frame.n_lights, 2)
-                backlog.make_room(0, births, max(births, ADMIT_AT_ONCE))
-            self.quota, why = self._turn(
-                self.cell,
-                self.space,
-                self.frame,
-                self.surfaces,
-                self.pixels,
-                self.cursor,
-                self.quota,
-                (TURN, ADMIT_BELOW, ADMIT_AT_ONCE),
-                backlog.stacks,
-                backlog.count,
-                self.outputs,
-                self.counts,
-            )
-            self._crowded = why == CROWDED
-            self.samples_left = self.samples_left and int(self.cursor[DONE]) == 0
-        elif self.collecting >= 0:
+        if self._crowded:
+            births = PORTION * max(self.frame.n_lights, 2)
+            backlog.make_room(0, births, max(births, ADMIT_AT_ONCE))
+        self.quota, why = self._go(
+            self.cell,
+            self.space,
+            self.frame,
+            self.surfaces,
+            self.pixels,
+            self.cursor,
+            self.quota,
+            (TURN, ADMIT_BELOW, ADMIT_AT_ONCE, self.flush, self.gather, self.batch, int(patient)),
+            backlog.bounds,
+            backlog.stacks,
+            backlog.count,
+            self.outputs,
+            self.counts,
+            self.wires,
+        )
+        self._crowded = why == CROWDED
+        self.samples_left = self.samples_left and int(self.cursor[DONE]) == 0
+        if self.collecting >= 0 and backlog.held == 0:
             self._send_pixels()
+        return int(why)
 
     def _send_pixels(self) -> None:
         """Fill the output towards the nearest corner with pixel packets."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from .backlog import CLASSES, MOST, RAYS, SHADOWS, TRAVELLERS
 from .births import DONE, bear_primaries
-from .compiled import lean, part
+from .compiled import part
 from .packets import SIZE
 from .step import HEAD, fullest, step
 from .walk import SELF, SELF_RAYS
@@ -59,9 +59,10 @@ def _take_own(outputs, output, packets, ports, held):
     return held + many
 
 
-@lean
+@part
 def turn(cell, space, frame, surfaces, pixels, cursor, quota, pace, stacks, held, outputs, counts):
-    """Serve what waits until nothing does or one of the reasons above. Returns (quota left, why it ended).
+    """Serve what waits until nothing does or one of the reasons above. Returns (quota left, why it ended, packets
+    served).
 
     quota   primaries that may be born
     pace    (packets after which it ends, rays that wait below which primaries are born, primaries born at once)
@@ -75,7 +76,7 @@ def turn(cell, space, frame, surfaces, pixels, cursor, quota, pace, stacks, held
         if quota > 0 and cursor[DONE] == 0 and held[RAYS] < pace[1]:
             many = min(quota, min(pace[2], len(stacks.ray_ports) - held[RAYS]))
             if many == 0:
-                return quota, CROWDED
+                return quota, CROWDED, served
             made = bear_primaries(cell, space, frame, pixels, cursor, stacks.rays, held[RAYS], many, counts)
             for k in range(held[RAYS], held[RAYS] + made):
                 stacks.ray_ports[k] = SELF
@@ -84,11 +85,11 @@ def turn(cell, space, frame, surfaces, pixels, cursor, quota, pace, stacks, held
             served += made
         kind = _most_urgent(held)
         if kind < 0:
-            return quota, IDLE
+            return quota, IDLE, served
         first = max(0, held[kind] - PORTION)
         many = (held[kind] - first) * lights
         if held[SHADOWS] + many > len(stacks.shadow_ports) or held[RAYS] + many > len(stacks.ray_ports):
-            return quota, CROWDED
+            return quota, CROWDED, served
         packets, ports = stacks.rays, stacks.ray_ports
         if kind == TRAVELLERS:
             packets, ports = stacks.travellers, stacks.traveller_ports
@@ -101,5 +102,5 @@ def turn(cell, space, frame, surfaces, pixels, cursor, quota, pace, stacks, held
         held[MOST] = max(held[MOST], held[TRAVELLERS] + held[SHADOWS] + held[RAYS])
         served += done - first
         if room - fullest(outputs.held) < frame.n_lights + 2:
-            return quota, FULL
-    return quota, LONG
+            return quota, FULL, served
+    return quota, LONG, served

@@ -1,0 +1,147 @@
+"""C functions called from compiled code by their addresses: those of ZeroMQ that links need, and a checksum.
+
+An address is a number handed in when a kernel is called, so that compiled code stays good for other processes and
+can be kept on disk. Who has no such functions (another build of pyzmq or xxhash) gets no addresses, and the links are
+served by Python alone: slower, and the same in all else.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+import numpy as np
+import zmq
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+# places in the table of addresses
+INITIALIZE, RECEIVE, DATA, LENGTH, MORE, SEND, ERROR, CHECKSUM, MESSAGE, AGAIN, CLOCK = range(11)
+ADDRESSES = 11
+MESSAGE_WORDS = 8  # of a zmq_msg_t, which has 64 bytes and wants to begin at a multiple of 8
+
+_FROM_ZEROMQ = {
+    INITIALIZE: "zmq_msg_init",
+    RECEIVE: "zmq_msg_recv",
+    DATA: "zmq_msg_data",
+    LENGTH: "zmq_msg_size",
+    MORE: "zmq_msg_more",
+    SEND: "zmq_send",
+    ERROR: "zmq_errno",
+}
+# the first also looks which instructions the processor has, where it can (x86)
+_CHECKSUMS = ("XXH3_64bits_withSeed_dispatch", "XXH3_64bits_withSeed")
+_CLOCK = "clock_gettime"
+
+
+def _address_of(library: ctypes.CDLL, name: str) -> int:
+    return int(ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0)
+
+
+def find_functions() -> NDArray[np.int64] | None:
+    """The table of addresses, int64 (ADDRESSES,), without a message and a clock yet; None if one cannot be found."""
+    table = np.zeros(ADDRESSES, np.int64)
+    try:
+        import xxhash._xxhash as of_checksum
+        from zmq.backend.cython import _zmq as of_zeromq
+
+        library = ctypes.CDLL(of_zeromq.__file__)  # a name is looked for in what it was linked with, too
+        for place, name in _FROM_ZEROMQ.items():
+            table[place] = _address_of(library, name)
+        library = ctypes.CDLL(of_checksum.__file__)
+        names = [name for name in _CHECKSUMS if hasattr(library, name)]
+        table[CHECKSUM] = _address_of(library, names[0])
+    except (ImportError, AttributeError, IndexError, OSError):
+        return None
+    table[AGAIN] = int(zmq.EAGAIN)
+    return table
+
+
+def find_clock() -> int:
+    """The address of the C library's `clock_gettime`, 0 if there is none."""
+    try:
+        return _address_of(ctypes.CDLL(None), _CLOCK)
+    except (AttributeError, OSError):
+        return 0
+
+
+class Message:
+    """Room for one message of ZeroMQ, into which compiled code receives; Python can read what it left there."""
+
+    def __init__(self, table: NDArray[np.int64]) -> None:
+        self._words = np.zeros(MESSAGE_WORDS, np.int64)
+        table[MESSAGE] = self._words.ctypes.data
+        self._place = ctypes.c_void_p(self._words.ctypes.data)
+        prototype = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)
+        self._data = prototype(int(table[DATA]))
+        self._length = ctypes.CFUNCTYPE(ctypes.c_size_t, ctypes.c_void_p)(int(table[LENGTH]))
+        ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)(int(table[INITIALIZE]))(self._place)
+
+    def copy(self) -> bytes:
+        """The bytes of the message that was received last."""
+        return ctypes.string_at(self._data(self._place), self._length(self._place))
+
+
+_LONG, _INT = ir.IntType(64), ir.IntType(32)
+
+
+def _called(result: ir.Type) -> Any:
+    """The code generator of a call by address with whole numbers."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        address, packed = arguments
+        numbers = cgutils.unpack_tuple(builder, packed)
+        function = ir.FunctionType(result, [_LONG] * len(numbers))
+        value = builder.call(builder.inttoptr(address, function.as_pointer()), numbers)
+        return value if result is _LONG else builder.sext(value, _LONG)
+
+    return codegen
+
+
+def _call_long(typingctx: Any, address: Any, arguments: Any) -> Any:
+    """Call a C function of 64-bit numbers (a tuple) that gives one; what it gives, as int64."""
+    return types.int64(types.int64, arguments), _called(_LONG)
+
+
+def _call_int(typingctx: Any, address: Any, arguments: Any) -> Any:
+    """Call a C function of 64-bit numbers (a tuple) that gives an `int`; what it gives, as int64."""
+    return types.int64(types.int64, arguments), _called(_INT)
+
+
+def _bytes_at(typingctx: Any, address: Any, size: Any) -> Any:
+    """The bytes from an address on, as uint8 (size,). They must outlive the array."""
+    array = types.Array(types.uint8, 1, "C")
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        made = context.make_array(array)(context, builder)
+        data = builder.inttoptr(arguments[0], ir.IntType(8).as_pointer())
+        one = context.get_constant(types.intp, 1)
+        length = arguments[1]
+        made.data = data
+        made.shape = cgutils.pack_array(builder, [length], ty=context.get_value_type(types.intp))
+        made.strides = cgutils.pack_array(builder, [one], ty=context.get_value_type(types.intp))
+        made.itemsize, made.nitems = one, length
+        made.meminfo = context.get_constant_null(types.MemInfoPointer(types.voidptr))
+        made.parent = context.get_constant_null(types.pyobject)
+        return made._getvalue()
+
+    return array(types.int64, types.int64), codegen
+
+
+def _address(typingctx: Any, array: Any, index: Any) -> Any:
+    """The address of an element of a flat array."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        return builder.ptrtoint(builder.gep(data, [arguments[1]]), _LONG)
+
+    return types.int64(array, types.int64), codegen
+
+
+# kernels call them without the first argument
+call_long: Any = intrinsic(_call_long)
+call_int: Any = intrinsic(_call_int)
+bytes_at: Any = intrinsic(_bytes_at)
+address: Any = intrinsic(_address)

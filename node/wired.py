@@ -1,0 +1,57 @@
+"""The links that compiled code serves (`node.rounds`), as Python sees them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from . import native
+from .link import REGULAR, SOCKET, Link
+from .pair import Pair
+from .rounds import OTHER, no_wires
+from .walk import HOST
+
+
+class Wired:
+    """Links to neighbours over PAIR sockets of this process.
+
+    wires   their tables, for `rounds.go`
+    """
+
+    def __init__(self, links: Mapping[int, Link], pairs: Mapping[int, Pair], timed: bool = False) -> None:
+        """Take over the books of the links whose channels are these pairs. `timed`: let the rounds be timed."""
+        self.wires = no_wires()
+        self._links: list[tuple[int, Link]] = []
+        self._wired: dict[int, Link] = {}
+        self._pairs = pairs
+        calls = native.find_functions()
+        if calls is None:
+            return
+        self.wires.calls[:] = calls
+        self.wires.calls[native.CLOCK] = native.find_clock() if timed else 0
+        self._message = native.Message(self.wires.calls)
+        for port, link in links.items():
+            if port != HOST and link.channel is pairs.get(port):
+                link.keep_book(self.wires.books[port])
+                self.wires.books[port, SOCKET] = pairs[port].socket.underlying
+                self._links.append((port, link))
+        self._wired = dict(self._links)
+
+    def begin(self) -> None:
+        """Before rounds: mark the links that are regular."""
+        for port, link in self._links:
+            self.wires.books[port, REGULAR] = link.regular
+
+    def end(self, why: int) -> int | None:
+        """After rounds that ended for this reason: the port of a link of which Python must receive, if there is one."""
+        for _, link in self._links:
+            link.grant(0)  # credit that could not be told
+        if why < OTHER:
+            return None
+        port = why - OTHER
+        self._pairs[port].put_back(self._message.copy())
+        return port
+
+    def serves(self, port: int) -> bool:
+        """Whether compiled code would receive what comes at a port now."""
+        link = self._wired.get(port)
+        return link is not None and link.regular
