@@ -111,6 +111,19 @@ def read_u48(buffer, at):
 
 
 @part
+def read_u64(buffer, at):
+    """The eight bytes at `at`, as int64."""
+    return read_u32(buffer, at) | (read_u32(buffer, at + 4) << 32)
+
+
+@part
+def read_origin(buffer, at):
+    """The three lattice coordinates of the ray or shadow ray whose packet begins at `at`."""
+    low = read_u64(buffer, at + 5)
+    return low & 0xFFFFFF, (low >> 24) & 0xFFFFFF, ((low >> 48) & 0xFFFF) | (np.int64(buffer[at + 13]) << 16)
+
+
+@part
 def write(buffer, at, value, size):
     """Put a whole number into `size` bytes, the least first."""
     for k in range(size):

@@ -1,8 +1,8 @@
 """Where a node spends its time: for `--profile` only, attached from outside, so that nothing is paid for it else.
 
 Seconds are CPU seconds of the node's thread, except `wait`, which is what the wall clock shows beside them: the node
-slept, or another process had the processor. What happens inside a turn is sampled: before one turn in EVERY some of the
-packets that wait are decoded, walked, and searched for hits once more, by the same functions, each time from the
+slept, or another process had the processor. Compiled code counts its own (`rounds.Wires.spent`). What happens inside its
+turns is sampled: before one call in EVERY some of the packets that wait are decoded, walked, and searched for hits once more, by the same functions, each time from the
 beginning; the differences, a packet, times the packets of all turns are the parts. Births are sampled likewise.
 
     receive   links, headers, checks, sorting packets onto the stacks
@@ -115,7 +115,7 @@ class Profile:
         self._seconds = dict.fromkeys(("receive", "send", "turns", "aside"), 0.0)
         self._sampled = dict.fromkeys(("birth", "decode", "walk", "hit"), 0.0)
         self._packets = self._births = 0  # that were sampled
-        self._turns = 0
+        self._calls = 0
         self._frames += 1
         self._wall, self._cpu = time.perf_counter(), time.thread_time()
 
@@ -130,15 +130,22 @@ class Profile:
 
         return timed
 
-    def _work(self) -> None:
-        self._turns += 1
+    def _work(self, patient: bool = False) -> int:
+        self._calls += 1
         begun = time.thread_time()
-        if self._turns % EVERY == 1 and self._processor.tracer.frame is not None:
+        if self._calls % EVERY == 1 and self._processor.tracer.frame is not None:
             self._sample()
+        spent = self._processor.tracer.wires.spent
+        spent[:] = 0
         served = time.thread_time()
-        self._serve()
-        self._seconds["turns"] += time.thread_time() - served
+        why = self._serve(patient)
+        whole = time.thread_time() - served
+        receiving, turning, sending = (spent[:3] * 1e-9).tolist()
+        self._seconds["receive"] += receiving
+        self._seconds["send"] += sending
+        self._seconds["turns"] += turning or whole  # without a clock there is nothing else to go by
         self._seconds["aside"] += served - begun
+        return why
 
     def _sample(self) -> None:
         """Time packets that wait, and some births."""
@@ -177,6 +184,7 @@ class Profile:
     def record(self) -> dict[str, Any]:
         """The processor's record with `profile`: seconds by part."""
         record = self._record()
+        record["calls"] = self._calls
         record["profile"] = {part: round(seconds, 6) for part, seconds in self.seconds().items()}
         return record
 

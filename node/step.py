@@ -30,6 +30,7 @@ from .packets import (
     put_ray,
     put_return,
     put_shadow,
+    read_origin,
     read_u16,
     read_u24,
     read_u32,
@@ -72,15 +73,22 @@ from .walk import (
     towards_start,
 )
 
+AHEAD = 128  # packets whose rays are set up before the first of them is looked for hits
+ASTRAY = 8  # added to the port by which a ray goes to the cell of its origin
 HEAD = 20  # bytes kept free at the head of every output for the link's header
 
 
 class Outputs(NamedTuple):
-    """Where a step writes: bytes uint8 (OUTPUTS, HEAD + room * SIZE), packets held int64 (OUTPUTS,), and scratch."""
+    """Where a step writes: bytes uint8 (OUTPUTS, HEAD + room * SIZE), packets held int64 (OUTPUTS,), and scratch.
+
+    stack  int64, keys of the hierarchy; ahead, ways: float64 (AHEAD, 12), int64 (AHEAD,), what `_set_up` gives
+    """
 
     data: NDArray[np.uint8]
     held: NDArray[np.int64]
     stack: NDArray[np.int64]
+    ahead: NDArray[np.float64]
+    ways: NDArray[np.int64]
 
 
 def make_outputs(room: int, stack: int) -> Outputs:
@@ -89,6 +97,8 @@ def make_outputs(room: int, stack: int) -> Outputs:
         np.zeros((OUTPUTS, HEAD + room * SIZE), np.uint8),
         np.zeros(OUTPUTS, np.int64),
         np.zeros(stack, np.int64),
+        np.zeros((AHEAD, 12)),
+        np.zeros(AHEAD, np.int64),
     )
 
 
@@ -251,48 +261,57 @@ def edge_colour(frame, d):
 
 
 @part
-def _step_ray(cell, space, frame, surfaces, pixels, packets, at, port, kind, outputs, counts):
-    """A primary, reflected or refracted ray."""
-    origin = (read_u24(packets, at + 5), read_u24(packets, at + 8), read_u24(packets, at + 11))
+def _set_up(cell, space, frame, packets, at, port, kind):
+    """What is known of a ray or shadow ray before any surface is looked at: (way, o, d, inv, t_in, t_out, distance).
+
+    way  the exit port; ASTRAY + port for one that has to go to the cell of its origin first
+    """
+    origin = read_origin(packets, at)
+    o = place(origin, space.step)
+    if kind == SHADOW:
+        d, distance = light_direction(frame.lights, read_u16(packets, at + 14), o)
+    else:
+        d, distance = unit_vector(read_u24(packets, at + 14), read_u24(packets, at + 17)), np.inf
+    inv = (inverse(d[0]), inverse(d[1]), inverse(d[2]))
+    t_in, t_out, way = passage(cell, origin, o, inv)
     if not is_walking(cell, origin, port):
         onward = towards_start(cell, origin)
         if onward != NO_PORT:
-            _hand_on(packets, at, onward, outputs, counts)
-            return
-    o = place(origin, space.step)
-    d = unit_vector(read_u24(packets, at + 14), read_u24(packets, at + 17))
-    inv = (inverse(d[0]), inverse(d[1]), inverse(d[2]))
-    t_in, t_out, leave = passage(cell, origin, o, inv)
+            way = ASTRAY + onward
+    return way, o, d, inv, t_in, t_out, distance
+
+
+@part
+def _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, outputs, counts):
+    """A primary, reflected or refracted ray. `ray`: what `_set_up` gives."""
+    way, o, d, inv, t_in, t_out, _ = ray
+    if way >= ASTRAY:
+        _hand_on(packets, at, way - ASTRAY, outputs, counts)
+        return
     counts[WALKS] += 1
     if len(surfaces.floats) > 0:
         t, item, u, v = closest(surfaces, outputs.stack, o, d, inv, max(t_in, T_MIN), t_out, counts)
         if item >= 0:
             _shade(cell, space, frame, surfaces, packets, at, kind, o, d, t, item, u, v, outputs, counts)
             return
-    if leaves_array(cell.index, space.shape, leave):
+    if leaves_array(cell.index, space.shape, way):
         _at_edge(cell, space, frame, pixels, packets, at, kind, d, outputs, counts)
     else:
-        _hand_on(packets, at, leave, outputs, counts)
+        _hand_on(packets, at, way, outputs, counts)
 
 
 @part
-def _step_shadow(cell, space, frame, surfaces, pixels, packets, at, port, outputs, counts):
+def _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, outputs, counts):
     """A shadow ray: forgotten at the first surface, a return packet where it reaches its light."""
-    origin = (read_u24(packets, at + 5), read_u24(packets, at + 8), read_u24(packets, at + 11))
-    if not is_walking(cell, origin, port):
-        onward = towards_start(cell, origin)
-        if onward != NO_PORT:
-            _hand_on(packets, at, onward, outputs, counts)
-            return
-    o = place(origin, space.step)
-    d, distance = light_direction(frame.lights, read_u16(packets, at + 14), o)
-    inv = (inverse(d[0]), inverse(d[1]), inverse(d[2]))
-    t_in, t_out, leave = passage(cell, origin, o, inv)
+    way, o, d, inv, t_in, t_out, distance = ray
+    if way >= ASTRAY:
+        _hand_on(packets, at, way - ASTRAY, outputs, counts)
+        return
     counts[WALKS] += 1
     upper = min(t_out, distance)
     if len(surfaces.floats) > 0 and blocked(surfaces, outputs.stack, o, d, inv, max(t_in, T_MIN), upper, counts):
         counts[DIED + SHADOW] += 1
-    elif distance <= t_out or leaves_array(cell.index, space.shape, leave):
+    elif distance <= t_out or leaves_array(cell.index, space.shape, way):
         counts[DIED + SHADOW] += 1
         red = unpack_shadow_weight(read_u24(packets, at + 16))
         green = unpack_shadow_weight(read_u24(packets, at + 19))
@@ -300,7 +319,7 @@ def _step_shadow(cell, space, frame, surfaces, pixels, packets, at, port, output
         sample, depth = read_u32(packets, at + 1), np.int64(packets[at]) >> 3
         _give_back(cell, space, frame, pixels, sample, depth, red, green, blue, outputs, counts)
     else:
-        _hand_on(packets, at, leave, outputs, counts)
+        _hand_on(packets, at, way, outputs, counts)
 
 
 @part
@@ -327,20 +346,64 @@ def towards_corner(cell, space):
 
 
 @part
-def step_one(cell, space, frame, surfaces, pixels, packets, at, port, outputs, counts):
-    """The ray step of one packet."""
-    kind = np.int64(packets[at]) & 7
-    if kind == SHADOW:
-        _step_shadow(cell, space, frame, surfaces, pixels, packets, at, port, outputs, counts)
-    elif kind == RETURN:
+def _settle(cell, space, frame, pixels, packets, at, kind, outputs, counts):
+    """A return or pixel packet."""
+    if kind == RETURN:
         _step_return(cell, frame, pixels, packets, at, outputs, counts)
-    elif kind == PIXEL:
+    else:
         output = towards_corner(cell, space)
         if output == HOST:
             counts[DIED + PIXEL] += 1
         _hand_on(packets, at, output, outputs, counts)
+
+
+@part
+def step_one(cell, space, frame, surfaces, pixels, packets, at, port, outputs, counts):
+    """The ray step of one packet."""
+    kind = np.int64(packets[at]) & 7
+    if kind == RETURN or kind == PIXEL:
+        _settle(cell, space, frame, pixels, packets, at, kind, outputs, counts)
+        return
+    ray = _set_up(cell, space, frame, packets, at, port, kind)
+    if kind == SHADOW:
+        _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, outputs, counts)
     else:
-        _step_ray(cell, space, frame, surfaces, pixels, packets, at, port, kind, outputs, counts)
+        _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, outputs, counts)
+
+
+@part
+def _look_ahead(cell, space, frame, packets, ports, first, last, ahead, ways):
+    """Set up the rays and shadow rays among packets first..last-1.
+
+    A search for hits ends in branches that no processor foresees, and each would wait for the roots and quotients of
+    its own ray. Here, with hardly a branch, the processor works on those of several rays at once.
+    """
+    for k in range(first, last):
+        kind = np.int64(packets[k * SIZE]) & 7
+        if kind == RETURN or kind == PIXEL:
+            continue
+        way, o, d, inv, t_in, t_out, distance = _set_up(cell, space, frame, packets, k * SIZE, np.int64(ports[k]), kind)
+        ways[k - first] = way
+        for axis in range(3):
+            ahead[k - first, axis], ahead[k - first, 3 + axis], ahead[k - first, 6 + axis] = o[axis], d[axis], inv[axis]
+        ahead[k - first, 9], ahead[k - first, 10], ahead[k - first, 11] = t_in, t_out, distance
+
+
+@part
+def _step_each(cell, space, frame, surfaces, pixels, packets, first, last, outputs, counts):
+    """The ray step of packets first..last-1 that `_look_ahead` has seen."""
+    ahead, ways = outputs.ahead, outputs.ways
+    for k in range(first, last):
+        kind, j = np.int64(packets[k * SIZE]) & 7, k - first
+        if kind == RETURN or kind == PIXEL:
+            _settle(cell, space, frame, pixels, packets, k * SIZE, kind, outputs, counts)
+            continue
+        o, d = (ahead[j, 0], ahead[j, 1], ahead[j, 2]), (ahead[j, 3], ahead[j, 4], ahead[j, 5])
+        ray = (ways[j], o, d, (ahead[j, 6], ahead[j, 7], ahead[j, 8]), ahead[j, 9], ahead[j, 10], ahead[j, 11])
+        if kind == SHADOW:
+            _step_shadow(cell, space, frame, surfaces, pixels, packets, k * SIZE, ray, outputs, counts)
+        else:
+            _step_ray(cell, space, frame, surfaces, pixels, packets, k * SIZE, kind, ray, outputs, counts)
 
 
 @part
@@ -363,10 +426,10 @@ def step(cell, space, frame, surfaces, pixels, packets, ports, first, last, outp
     k = first
     while k < last:
         # so many packets cannot fill an output, whatever they give birth to: no need to look at each
-        stop = min(last, k + (room - fullest(outputs.held)) // (frame.n_lights + 2))
+        stop = min(last, k + min(AHEAD, (room - fullest(outputs.held)) // (frame.n_lights + 2)))
         if stop == k:
             break
-        while k < stop:
-            step_one(cell, space, frame, surfaces, pixels, packets, k * SIZE, np.int64(ports[k]), outputs, counts)
-            k += 1
+        _look_ahead(cell, space, frame, packets, ports, k, stop, outputs.ahead, outputs.ways)
+        _step_each(cell, space, frame, surfaces, pixels, packets, k, stop, outputs, counts)
+        k = stop
     return k
