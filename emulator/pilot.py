@@ -210,7 +210,7 @@ def _record(space, cell, frame, surfaces, stack, packets, rays, counts):
         if kind == SHADOW:
             d, distance = light_direction(frame.lights, read_u16(packets, at + 14), o)
         inv = (inverse(d[0]), inverse(d[1]), inverse(d[2]))
-        _, t_out, _ = passage(cell, origin, o, inv)
+        _, t_out, _ = passage(cell, o, inv)
         t, item = min(t_out, distance), np.int64(-1)
         if len(surfaces.floats) > 0:
             t, item, _, _ = closest(surfaces, stack, o, d, inv, T_MIN, min(t_out, distance), counts)

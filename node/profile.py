@@ -1,9 +1,10 @@
 """Where a node spends its time: for `--profile` only, attached from outside, so that nothing is paid for it else.
 
 Seconds are CPU seconds of the node's thread, except `wait`, which is what the wall clock shows beside them: the node
-slept, or another process had the processor. Compiled code counts its own (`rounds.Wires.spent`). What happens inside its
-turns is sampled: before one call in EVERY some of the packets that wait are decoded, walked, and searched for hits once more, by the same functions, each time from the
-beginning; the differences, a packet, times the packets of all turns are the parts. Births are sampled likewise.
+slept, or another process had the processor. Compiled code counts its own (`rounds.Wires.spent`). What happens inside
+its turns is sampled: before one call in EVERY some of the packets that wait are decoded, walked, and searched for hits
+once more, by the same functions, each time from the beginning; the differences, a packet, times the packets of all
+turns are the parts. Births are sampled likewise.
 
     receive   links, headers, checks, sorting packets onto the stacks
     birth     primary rays
@@ -62,7 +63,7 @@ def again(cell, space, frame, surfaces, packets, first, last, what, stack, count
         if what == DECODE:
             continue
         inv = (inverse(d[0]), inverse(d[1]), inverse(d[2]))
-        t_in, t_out, leave = passage(cell, origin, o, inv)
+        t_in, t_out, leave = passage(cell, o, inv)
         told += t_in + t_out + leave
         if what == WALK or len(surfaces.floats) == 0:
             continue

@@ -273,7 +273,7 @@ def _set_up(cell, space, frame, packets, at, port, kind):
     else:
         d, distance = unit_vector(read_u24(packets, at + 14), read_u24(packets, at + 17)), np.inf
     inv = (inverse(d[0]), inverse(d[1]), inverse(d[2]))
-    t_in, t_out, way = passage(cell, origin, o, inv)
+    t_in, t_out, way = passage(cell, o, inv)
     if not is_walking(cell, origin, port):
         onward = towards_start(cell, origin)
         if onward != NO_PORT:

@@ -24,9 +24,8 @@ HUGE = 1e18  # stands for 1 / 0: finite, so that 0 * HUGE is 0 and never not-a-n
 @part
 def inverse(d):
     """1 / d, finite for d = 0 (and never larger than HUGE)."""
-    if abs(d) < 1.0 / HUGE:
-        return HUGE
-    return 1.0 / d
+    quotient = 1.0 / d
+    return HUGE if abs(d) < 1.0 / HUGE else quotient
 
 
 @part
@@ -69,32 +68,30 @@ def is_walking(cell, origin, port):
 
 
 @part
-def _axis_times(k, at, inv, low, high, low_at, high_at):
-    """(time of entry, time of exit) of one axis; entry is negative if the origin lies between the planes."""
-    if inv >= 0.0:
-        entry = (low_at - at) * inv if k < low else -1.0
-        return entry, (high_at - at) * inv
-    entry = (high_at - at) * inv if k >= high else -1.0
-    return entry, (low_at - at) * inv
+def _axis_times(at, inv, low_at, high_at):
+    """(time of entry, time of exit) of one axis; entry is not above 0 if the origin lies between the planes, or where
+    the ray goes away from them."""
+    low, high = (low_at - at) * inv, (high_at - at) * inv
+    return min(low, high), max(low, high)
 
 
 @part
-def passage(cell, origin, at, inv):
+def passage(cell, at, inv):
     """(t_in, t_out, exit port) of a walking ray.
 
-    origin  lattice coordinates, at  the same as numbers, inv  inverse direction.
-    A hit at t belongs to this cell if t_in <= t < t_out; t_in is negative in the cell of the origin.
+    at  its origin, inv  its inverse direction.
+    A hit at t belongs to this cell if t_in <= t < t_out; t_in is not above 0 in the cell of the origin.
     The exit port is the axis with the least exit time, ties in the order x, y, z.
+
+    There are no branches: which way a ray goes can hardly be foreseen, and a processor that guessed wrong begins again.
     """
-    in_x, out_x = _axis_times(origin[0], at[0], inv[0], cell.low[0], cell.high[0], cell.low_at[0], cell.high_at[0])
-    in_y, out_y = _axis_times(origin[1], at[1], inv[1], cell.low[1], cell.high[1], cell.low_at[1], cell.high_at[1])
-    in_z, out_z = _axis_times(origin[2], at[2], inv[2], cell.low[2], cell.high[2], cell.low_at[2], cell.high_at[2])
-    t_in = max(in_x, max(in_y, in_z))
-    if out_x <= out_y and out_x <= out_z:
-        return t_in, out_x, 1 if inv[0] >= 0.0 else 0
-    if out_y <= out_z:
-        return t_in, out_y, 3 if inv[1] >= 0.0 else 2
-    return t_in, out_z, 5 if inv[2] >= 0.0 else 4
+    in_x, out_x = _axis_times(at[0], inv[0], cell.low_at[0], cell.high_at[0])
+    in_y, out_y = _axis_times(at[1], inv[1], cell.low_at[1], cell.high_at[1])
+    in_z, out_z = _axis_times(at[2], inv[2], cell.low_at[2], cell.high_at[2])
+    out_yz = min(out_y, out_z)
+    x, y, z = 1 if inv[0] >= 0.0 else 0, 3 if inv[1] >= 0.0 else 2, 5 if inv[2] >= 0.0 else 4
+    yz = y if out_y <= out_z else z
+    return max(in_x, max(in_y, in_z)), min(out_x, out_yz), x if out_x <= out_yz else yz
 
 
 @part
