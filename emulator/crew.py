@@ -52,6 +52,7 @@ class Crew:
 
     pids    the process of each node, also of one that has ended and was not forked anew yet
     dead    nodes that are to be forked anew
+    lost    those that ended by themselves, in the order in which that was heard; for the caller to clear
     """
 
     def __init__(self, nursery: Nursery) -> None:
@@ -59,6 +60,7 @@ class Crew:
         self.lines = Lines()
         self.pids: dict[Index, int] = {}
         self.dead: set[Index] = set()
+        self.lost: list[Ended] = []
 
     def filenos(self) -> tuple[int, int]:
         """Descriptors of which one can be read when `hear` has something to tell."""
@@ -71,6 +73,7 @@ class Crew:
             if isinstance(event, Ended) and self.pids.get(event.index) == event.pid:
                 self.dead.add(event.index)
                 self.lines.remove(event.index)
+                self.lost.append(event)
                 heard.append(event)
         return heard
 
@@ -93,6 +96,7 @@ class Crew:
             if not silent <= self.dead:
                 index = min(silent - self.dead)
                 raise LostProcess(f"node {_name(index)} (pid {self.pids[index]}) does not end when it is killed")
+            self.lost = [event for event in self.lost if event.index not in silent]
         missing = {index: config for index, config in configs.items() if index in self.dead or index not in self.pids}
         if missing:
             pids = self.nursery.launch(list(missing.values()))
