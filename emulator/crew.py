@@ -12,22 +12,13 @@ from raygrid.node.errors import LostProcess
 from .launch import Ended, Nursery
 from .lines import Lines, Words
 from .nursery import LAST_WAIT
-from .places import Index, process_state
+from .places import STATES, Index, process_state
 from .wiring import Config, reset_order
 
 # A node looks at its line between two calls of a kernel. One that is in a long call (tables of a million surfaces take
 # seconds) or hangs answers too late, and is killed and forked anew: that takes some 10 ms, and what it was working on
 # is dropped by a reset in any case. So waiting longer would gain nothing.
 RESET_SECONDS, RESET_SECONDS_A_NODE = 1.0, 0.01
-STATES = {
-    "R": "running",
-    "S": "waiting",
-    "D": "waiting for the kernel",
-    "T": "stopped",
-    "t": "stopped by a debugger",
-    "Z": "dead",
-    "": "dead",
-}
 
 
 @dataclass(frozen=True)
@@ -40,7 +31,7 @@ class Said:
 
 @dataclass(frozen=True)
 class NodeState:
-    """A node, its process, and how that stands: a word of STATES."""
+    """A node, its process, and how that stands: a word of `places.STATES`."""
 
     index: Index
     pid: int
