@@ -189,7 +189,7 @@ def judge(work: Callable[[], Picture], bed: Bed, frame: Frame = SMALL) -> Outcom
 
 
 @cache
-def job(shape: Shape, frame: Frame) -> Job:
+def job(shape: Shape, frame: Frame = SMALL) -> Job:
     """A frame, ready for an array."""
     return make_job(load_scene(frame.scene), shape, frame.settings)
 
