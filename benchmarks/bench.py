@@ -64,7 +64,7 @@ def head(arguments: list[str]) -> list[str]:
     load = os.getloadavg()[0]
     command = " ".join(["python benchmarks/bench.py", *arguments])
     return [
-        "# Performance",
+        "## The suite",
         "",
         f"Measured {datetime.datetime.now(datetime.UTC):%Y-%m-%d %H:%M} UTC by `{command}`"
         f" at commit {_commit()}.",

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 MARK = "<!-- From here on written by benchmarks/bench.py; what stands above this line is kept. -->"
+TITLE = "# Performance"  # of a file that has none yet
 
 
 @dataclass(frozen=True)
@@ -135,6 +136,6 @@ def document(head: Sequence[str], sections: Sequence[Section]) -> str:
 
 
 def with_head_kept(old: str, new: str) -> str:
-    """The new document below what stands above the mark in the old one."""
+    """The new document below what stands above the mark in the old one, or else below a title."""
     above, found, _ = old.partition(MARK)
-    return above + new if found else new
+    return (above if found else f"{TITLE}\n\n") + new

@@ -7,7 +7,7 @@ import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -15,7 +15,7 @@ from typing import Any, Self
 import numpy as np
 import psutil
 
-from raygrid.emulator import places
+from raygrid.emulator import driver, places
 from raygrid.emulator.array import Array
 from raygrid.host.job import Job, Settings, make_job
 from raygrid.host.load import load_scene
@@ -25,11 +25,26 @@ from raygrid.node.errors import RaygridError
 
 Shape = tuple[int, int, int]
 SHAPES: tuple[Shape, ...] = ((2, 2, 2), (4, 3, 1))
-SCENE = Path(__file__).parents[1] / "scenes" / "kinds.nff"
+SCENES = Path(__file__).parents[1] / "scenes"
+SCENE = SCENES / "kinds.nff"
 SETTINGS = Settings(size=(96, 72), samples=2)
 BUDGET = 2000  # so small that tracing takes many waves, and there are moments to strike at
 ATTEMPTS = 8
 MOMENTS = ("idle", "load", "trace", "collect", "reset")
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What is rendered."""
+
+    scene: Path
+    settings: Settings
+    budget: int
+
+
+SMALL = Frame(SCENE, SETTINGS, BUDGET)
+# for which a node needs more memory than for the small one, in loading and in tracing
+LARGE = Frame(SCENES / "room.glb", Settings(size=(384, 288), samples=2), driver.BUDGET)
 
 
 @dataclass(frozen=True)
@@ -80,10 +95,14 @@ class Strike:
 
 
 class Bed:
-    """An array of one shape on which cases are run one after the other. Use as a context manager."""
+    """An array of one shape on which cases are run one after the other. Use as a context manager.
+
+    faults   what was told of in the last frame that was struck
+    """
 
     def __init__(self, shape: Shape, folder: Path) -> None:
         self.shape, self.folder = shape, folder
+        self.faults: list[str] = []
         self.array = Array(shape, patience=20.0)
 
     def run(self, case: Case) -> Outcome:
@@ -98,12 +117,14 @@ class Bed:
             return Outcome("wrong", f"{type(error).__name__}: {error}")
         return outcome
 
-    def strike(self, strike: Strike) -> Outcome:
+    def strike(self, strike: Strike, frame: Frame = SMALL) -> Outcome:
         """A frame that is struck."""
+        self.faults.clear()
         noticed: list[float] = []
         ready: list[float] = []
 
         def on_fault(fault: Fault) -> None:
+            self.faults.append(fault.what)
             if strike.at and not noticed:
                 told = time.perf_counter() - fault.seconds[1]
                 noticed.append(max(0.0, told - strike.at))
@@ -114,7 +135,8 @@ class Bed:
         with struck_reset(self.array, strike):
             if strike.moment == "reset":
                 os.kill(self.array.pids[-1], 9)
-            outcome = judge(lambda: render(self.array, watch=strike.watch, on_fault=on_fault), self)
+            work = partial(render, self.array, frame, watch=strike.watch, on_fault=on_fault)
+            outcome = judge(work, self, frame)
         if outcome.what == "same" and not strike.at:
             return Outcome("wrong", "nothing was struck")
         return Outcome(outcome.what, outcome.why, tuple(noticed), tuple(ready))
@@ -150,15 +172,15 @@ def struck_reset(array: Array, strike: Strike) -> Any:
         del array._hang_up  # type: ignore[method-assign]
 
 
-def render(array: Array, **options: Any) -> Picture:
-    """The frame of the campaign."""
-    return render_steadily(array, job(array.shape), BUDGET, attempts=ATTEMPTS, **options)
+def render(array: Array, frame: Frame = SMALL, **options: Any) -> Picture:
+    """A frame of the campaign."""
+    return render_steadily(array, job(array.shape, frame), frame.budget, attempts=ATTEMPTS, **options)
 
 
-def judge(work: Callable[[], Picture], bed: Bed) -> Outcome:
+def judge(work: Callable[[], Picture], bed: Bed, frame: Frame = SMALL) -> Outcome:
     """Whether a frame is right, or was refused in one line."""
     try:
-        return Outcome("same") if right(work(), bed.shape) else Outcome("wrong", "other bits")
+        return Outcome("same") if right(work(), bed.shape, frame) else Outcome("wrong", "other bits")
     except RaygridError as error:
         if "\n" in str(error):
             return Outcome("wrong", f"not one line: {error}")
@@ -167,23 +189,23 @@ def judge(work: Callable[[], Picture], bed: Bed) -> Outcome:
 
 
 @cache
-def job(shape: Shape) -> Job:
-    """The frame of the campaign, ready for an array."""
-    return make_job(load_scene(SCENE), shape, SETTINGS)
+def job(shape: Shape, frame: Frame = SMALL) -> Job:
+    """A frame, ready for an array."""
+    return make_job(load_scene(frame.scene), shape, frame.settings)
 
 
 @cache
-def truth(shape: Shape) -> np.ndarray:
+def truth(shape: Shape, frame: Frame) -> np.ndarray:
     """Its sums, from an array to which nothing happens."""
     with Array.launch(shape) as array:
-        picture = render(array)
+        picture = render(array, frame)
     assert picture.stats["faults"] == []
     return picture.sums
 
 
-def right(picture: Picture, shape: Shape) -> bool:
+def right(picture: Picture, shape: Shape, frame: Frame = SMALL) -> bool:
     """Whether a picture has the bits of an undisturbed run."""
-    return np.array_equal(picture.sums, truth(shape))
+    return np.array_equal(picture.sums, truth(shape, frame))
 
 
 def text_of(shape: Shape) -> str:

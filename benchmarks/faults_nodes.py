@@ -6,11 +6,19 @@ import os
 import random
 import resource
 import signal
+import time
 from collections.abc import Callable
+from functools import partial
 
-from faults_bed import MOMENTS, Bed, Case, Outcome, Strike
+from faults_bed import LARGE, MOMENTS, Bed, Case, Outcome, Strike, judge, render, right
 
 from raygrid.node.messages import MessageKind
+
+# Descriptors: with 8 a node can wait for those that it has, but open no socket. With 3 the kernel refuses to let it
+# wait for more than 3 at once as well, and ZeroMQ gives up.
+FEW_DESCRIPTORS = (3, 8)
+NO_DESCRIPTORS = ("exit code 1: ZMQError: Too many open files", "signal SIGABRT: Invalid argument (src/")
+LITTLE_ROOM = 1 << 18  # bytes; the arrays that the large frame needs are larger
 
 
 def _strike(name: str, moment: str, nth: int, act: Callable[[Bed], object]) -> Case:
@@ -52,34 +60,37 @@ def _nursery(rng: random.Random) -> list[Case]:
     return [_strike("nursery killed", rng.choice(MOMENTS[:4]), rng.randint(1, 4), act)]
 
 
-def _limit(name: str, which: int, value: Callable[[int], int]) -> Callable[[random.Random], list[Case]]:
-    """A node gets a limit of the kernel's, which is taken from it after the frame if it still lives."""
+def _memory(rng: random.Random) -> list[Case]:
+    """A node can get no more memory, or little, in a frame for which it needs much more than it has.
 
-    def do(bed: Bed, moment: str, nth: int, number: int) -> Outcome:
+    Not an old node: what it was given for earlier frames is not taken from it, so it would not notice. One that was
+    just forked gets no more at all, and its libraries need some of their own; one that has rendered a small frame since
+    then gets a little more, so that arrays find none.
+    """
+
+    def do(bed: Bed, moment: str, used: bool, number: int) -> Outcome:
+        os.kill(bed.array.pids[number], signal.SIGKILL)
+        bed.array.reset()
+        if used and not right(render(bed.array), bed.shape):
+            return Outcome("wrong", "the frame before it has other bits")
         pid = bed.array.pids[number]
-        _, hard = resource.prlimit(pid, which)
+        _, hard = resource.prlimit(pid, resource.RLIMIT_AS)
 
         def act() -> None:
-            resource.prlimit(pid, which, (value(pid), hard))
+            limit = _memory_of(pid) + LITTLE_ROOM if used else _memory_of(pid) // 2
+            resource.prlimit(pid, resource.RLIMIT_AS, (limit, hard))
 
-        outcome = bed.strike(Strike(moment, nth, act))
+        outcome = bed.strike(Strike(moment, 1, act), LARGE)
         if pid in bed.array.pids:
-            resource.prlimit(pid, which, (hard, hard))
+            resource.prlimit(pid, resource.RLIMIT_AS, (hard, hard))
         return outcome
 
-    def cases(rng: random.Random) -> list[Case]:
-        found = []
-        for moment in ("idle", "load", "trace"):
-            number, nth = rng.randrange(8), rng.randint(1, 4)
-            found.append(
-                Case(
-                    f"{name} at {moment} {nth}",
-                    lambda bed, moment=moment, nth=nth, number=number: do(bed, moment, nth, number),
-                )
-            )
-        return found
-
-    return cases
+    found = []
+    for moment in ("idle", "load", "trace"):
+        for used in (False, True):
+            name = f"RLIMIT_AS of a {'used' if used else 'new'} node at {moment}"
+            found.append(Case(name, partial(do, moment=moment, used=used, number=rng.randrange(8))))
+    return found
 
 
 def _memory_of(pid: int) -> int:
@@ -87,8 +98,46 @@ def _memory_of(pid: int) -> int:
         return int(file.read().split()[0]) * resource.getpagesize()
 
 
-def _descriptors_of(pid: int) -> int:
-    return len(os.listdir(f"/proc/{pid}/fd"))
+def _descriptors(rng: random.Random) -> list[Case]:
+    """A node can open no more descriptors when a reset asks it for new links: it ends, says why, and is forked anew."""
+
+    def do(bed: Bed, moment: str, limit: int, number: int) -> Outcome:
+        pid, other = bed.array.pids[number], bed.array.pids[number - 1]
+
+        def act() -> None:
+            resource.prlimit(pid, resource.RLIMIT_NOFILE, (limit, limit))
+            if moment in ("load", "trace"):  # at the moment "reset" a node was killed before
+                os.kill(other, signal.SIGKILL)
+
+        outcome = _idle(bed, act) if moment == "idle" else bed.strike(Strike(moment, 1, act))
+        if outcome.what == "wrong":
+            return outcome
+        if pid in bed.array.pids:
+            return Outcome("wrong", "the node went through a reset without descriptors")
+        words = [f"(pid {pid}) ended: {why}" for why in NO_DESCRIPTORS]
+        if not any(word in fault for word in words for fault in bed.faults):
+            return Outcome("wrong", f"nobody said why the node ended: {bed.faults}")
+        return outcome
+
+    found = []
+    for moment in ("idle", "load", "trace", "reset"):
+        for limit in FEW_DESCRIPTORS:
+            number = rng.randrange(7)  # not the last one, which is killed for the moment "reset"
+            found.append(
+                Case(f"RLIMIT_NOFILE of {limit} at {moment}", partial(do, moment=moment, limit=limit, number=number))
+            )
+    return found
+
+
+def _idle(bed: Bed, act: Callable[[], None]) -> Outcome:
+    """Strike an array that does nothing, and reset it: what was lost is told by the array itself."""
+    act()
+    begun = time.perf_counter()
+    bed.array.reset()
+    ready = time.perf_counter() - begun
+    bed.faults[:] = bed.array.lost_nodes
+    outcome = judge(lambda: render(bed.array), bed)
+    return Outcome(outcome.what, outcome.why, ready=(ready,))
 
 
 def _rubbish(rng: random.Random) -> list[Case]:
@@ -134,7 +183,7 @@ GROUPS = {
     "all nodes stopped": _signals("SIGSTOP of all", signal.SIGSTOP, lambda nodes: nodes),
     "stopped and reset": _deaf,
     "nursery killed": _nursery,
-    "memory of a node limited": _limit("RLIMIT_AS", resource.RLIMIT_AS, _memory_of),
-    "descriptors of a node used up": _limit("RLIMIT_NOFILE", resource.RLIMIT_NOFILE, _descriptors_of),
+    "memory of a node limited": _memory,
+    "descriptors of a node used up": _descriptors,
     "rubbish on a corner link": _rubbish,
 }

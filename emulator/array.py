@@ -55,6 +55,8 @@ class Array:
     patience  seconds without any progress after which the array is taken to hang (`driver.PATIENCE`)
     epoch     number of resets so far; -1 before the array was ready
     restarts  nodes that were forked anew so far
+    lost_nodes  what ended of itself since the reset before the last, until all nodes had been told of the last one:
+              "node 1,0,0 (pid 17) ended: exit code 1: ..."
     refused_samples  what came as a sample of a probe and was none
     fault     what goes wrong on purpose on links between neighbours, for experiments; patience is FAULT_PATIENCE then
     programs  whether nodes take programs (`node.programs`): code of others, with your rights
@@ -83,6 +85,7 @@ class Array:
         self.programs = programs
         self.injected, self.profile, self.timed = 0, profile, timed
         self.epoch, self.restarts = -1, 0
+        self.lost_nodes: list[str] = []
         self.on_words: Callable[[Index, Words], None] | None = None
         self.refused_samples = 0
         self._rate = 0.0
@@ -164,6 +167,7 @@ class Array:
         """
         if self._closing or not self._begun:
             raise ArrayError("the array cannot be reset: it was not launched, or it was closed")
+        self.lost_nodes = []
         try:
             if self._crew is not None and self._nursery is not None and self._nursery.alive:
                 with contextlib.suppress(*FAULTS):
@@ -216,6 +220,8 @@ class Array:
         told |= {"profile": self.profile, "timed": self.timed}
         forked = self._crew.begin(node_configs(self.shape, self._place.path, self.epoch, machine, **told))
         self.restarts += 0 if first else forked
+        self.lost_nodes += map(_told, self._crew.lost)
+        self._crew.lost.clear()
         for descriptor in self._crew.filenos():
             self._poller.register(descriptor, zmq.POLLIN)
         links = host_links(self.shape, self._pairs, machine, self.epoch)
@@ -301,7 +307,7 @@ class Array:
         for event in self._crew.hear():
             if isinstance(event, Ended):
                 if not (self._closing and event.code == 0):
-                    raise LostProcess(f"node {_name(event.index)} (pid {event.pid}) ended: {event.why}")
+                    raise LostProcess(_told(event))
             elif event.words.get("is") == "broken":
                 if event.words.get("epoch") == self.epoch:
                     pid = self._crew.pids[event.index]
@@ -381,6 +387,10 @@ class Array:
         if error is not None:
             self._driver = None  # nothing more is asked of an array that failed
         self.close()
+
+
+def _told(event: Ended) -> str:
+    return f"node {_name(event.index)} (pid {event.pid}) ended: {event.why}"
 
 
 def _name(index: Index) -> str:

@@ -12,22 +12,13 @@ from raygrid.node.errors import LostProcess
 from .launch import Ended, Nursery
 from .lines import Lines, Words
 from .nursery import LAST_WAIT
-from .places import Index, process_state
+from .places import STATES, Index, process_state
 from .wiring import Config, reset_order
 
 # A node looks at its line between two calls of a kernel. One that is in a long call (tables of a million surfaces take
 # seconds) or hangs answers too late, and is killed and forked anew: that takes some 10 ms, and what it was working on
 # is dropped by a reset in any case. So waiting longer would gain nothing.
 RESET_SECONDS, RESET_SECONDS_A_NODE = 1.0, 0.01
-STATES = {
-    "R": "running",
-    "S": "waiting",
-    "D": "waiting for the kernel",
-    "T": "stopped",
-    "t": "stopped by a debugger",
-    "Z": "dead",
-    "": "dead",
-}
 
 
 @dataclass(frozen=True)
@@ -40,7 +31,7 @@ class Said:
 
 @dataclass(frozen=True)
 class NodeState:
-    """A node, its process, and how that stands: a word of STATES."""
+    """A node, its process, and how that stands: a word of `places.STATES`."""
 
     index: Index
     pid: int
@@ -52,6 +43,7 @@ class Crew:
 
     pids    the process of each node, also of one that has ended and was not forked anew yet
     dead    nodes that are to be forked anew
+    lost    those that ended by themselves, in the order in which that was heard; for the caller to clear
     """
 
     def __init__(self, nursery: Nursery) -> None:
@@ -59,6 +51,7 @@ class Crew:
         self.lines = Lines()
         self.pids: dict[Index, int] = {}
         self.dead: set[Index] = set()
+        self.lost: list[Ended] = []
 
     def filenos(self) -> tuple[int, int]:
         """Descriptors of which one can be read when `hear` has something to tell."""
@@ -71,6 +64,7 @@ class Crew:
             if isinstance(event, Ended) and self.pids.get(event.index) == event.pid:
                 self.dead.add(event.index)
                 self.lines.remove(event.index)
+                self.lost.append(event)
                 heard.append(event)
         return heard
 
@@ -93,6 +87,7 @@ class Crew:
             if not silent <= self.dead:
                 index = min(silent - self.dead)
                 raise LostProcess(f"node {_name(index)} (pid {self.pids[index]}) does not end when it is killed")
+            self.lost = [event for event in self.lost if event.index not in silent]
         missing = {index: config for index, config in configs.items() if index in self.dead or index not in self.pids}
         if missing:
             pids = self.nursery.launch(list(missing.values()))

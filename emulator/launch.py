@@ -29,10 +29,10 @@ from typing import Any, NamedTuple, Self
 from raygrid.node.errors import ArrayError, LostProcess
 
 from .control import Control, Message, close_all
-from .nursery import DEBUG, LAST_WAIT, open_pidfd
+from .nursery import LAST_WAIT, open_pidfd
 from .places import Index
+from .stderr_words import StderrWords
 
-LONGEST_TAIL = 16_384  # characters of stderr that are kept
 SIGNALS = {number.value: number.name for number in signal.Signals}
 # One thread a process: a fork copies only one, and the array itself is the parallelism.
 ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -54,7 +54,7 @@ class Ended:
     """The node with coordinates `index` has ended.
 
     status   its exit code, or minus the number of the signal that ended it
-    words    its error as it wrote it, "" if it wrote none
+    words    its error as it, or the library that ended it, wrote it; "" if there was none
     """
 
     pid: int
@@ -98,7 +98,7 @@ class Nursery:
         self.warm = False
         self._process = process
         self._control = Control(control)
-        self._stderr = _Words(stderr)
+        self._stderr = StderrWords(stderr)
         self._pidfd = open_pidfd(process.pid)
         self._on_warming = on_warming
         self._pids: dict[int, Index] = {}
@@ -309,7 +309,8 @@ class Nursery:
         elif kind == "ended":
             index: Index = message["index"]
             self._pids.pop(message["pid"], None)
-            self._events.append(Ended(message["pid"], index, message["status"], self._stderr.take(index)))
+            status: int = message["status"]
+            self._events.append(Ended(message["pid"], index, status, self._stderr.take(index, status)))
         elif kind != "lines":  # launched, or refused
             indices = (tuple(config["index"]) for config in self._asked)
             self._pids.update(zip(message.get("pids", ()), indices, strict=False))
@@ -373,46 +374,6 @@ class Nursery:
 
     def __exit__(self, *_: object) -> None:
         self.end()
-
-
-class _Words:
-    """What nursery and nodes write to stderr: its end, and the last line of each node."""
-
-    def __init__(self, descriptor: int) -> None:
-        os.set_blocking(descriptor, False)
-        self.descriptor = descriptor
-        self.closed = False
-        self.tail = ""
-        self._line = ""
-        self._of_node: dict[str, str] = {}
-
-    def read(self) -> None:
-        """Take in what has come; at most what a pipe holds, so that a babbling node cannot keep us here."""
-        try:
-            piece = os.read(self.descriptor, 1 << 16) if not self.closed else b""
-        except BlockingIOError:
-            return
-        self.closed = not piece
-        text = piece.decode(errors="replace")
-        if os.environ.get(DEBUG) and sys.stderr is not None:
-            sys.stderr.write(text)
-        self.tail = (self.tail + text)[-LONGEST_TAIL:]
-        *lines, self._line = (self._line + text).split("\n")
-        self._line = self._line[-LONGEST_TAIL:]
-        for line in lines:
-            # Not only at its head: a node that crashes in the midst of a line leaves it unfinished.
-            _, found, rest = line.partition("raygrid node ")
-            if found:
-                node, _, words = rest.partition(": ")
-                self._of_node[node] = words
-
-    def take(self, index: Index) -> str:
-        """The last line that the node wrote about itself; "" if none."""
-        return self._of_node.pop(",".join(map(str, index)), "")
-
-    def last_lines(self) -> str:
-        """The last three lines written, in one."""
-        return " / ".join([line.strip() for line in self.tail.splitlines() if line.strip()][-3:])
 
 
 def _how(status: int) -> str:

@@ -32,6 +32,16 @@ NAME = re.compile(f"{re.escape(PREFIX)}[0-9a-f]{{{2 * NAME_BYTES}}}")  # not a u
 PID_FILE = "pid"
 LONGEST_PATH = 107  # bytes; sun_path holds 108 with its closing zero
 LAST_EPOCH = 0xFFFF  # the epoch of a message header is a u16
+STATES = {  # of a process, by the kernel's letter; none: there is no such process
+    "R": "running",
+    "S": "waiting",
+    "D": "waiting for the kernel",
+    "T": "stopped",
+    "t": "stopped by a debugger",
+    "Z": "dead",
+    "X": "dead",
+    "": "dead",
+}
 UNSIGNED_AGE = 60.0  # seconds; a directory without a pid file may be one that is just being made
 
 

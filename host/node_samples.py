@@ -7,17 +7,10 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+from raygrid.emulator.places import STATES
+
 TICKS = os.sysconf("SC_CLK_TCK")
-STATES = {
-    "R": "running",
-    "S": "waiting",
-    "D": "waiting for the kernel",
-    "T": "stopped",
-    "t": "stopped by a debugger",
-    "Z": "dead",
-    "X": "dead",
-    "": "gone",
-}
+NODE_STATES = STATES | {"": "gone"}  # told apart from one that has ended and waits to be reaped
 LEAST_SPAN = 0.5  # seconds over which a load is measured, if it can be
 
 Shape = tuple[int, int, int]
@@ -55,7 +48,7 @@ class Samples:
                 {
                     "node": [number % nx, number // nx % ny, number // (nx * ny)],
                     "pid": pid,
-                    "state": STATES.get(state, state),
+                    "state": NODE_STATES.get(state, state),
                     "cpu_seconds": round(spent, 2),
                     "load": None if load is None else round(max(load, 0.0), 3),
                     "memory": private_memory(pid),

@@ -15,6 +15,7 @@ from raygrid.host.render import Watch, render_job
 from raygrid.node.errors import ArrayError, Garbled, LostProcess, ProtocolError, RaygridError, Stuck
 
 ATTEMPTS = 4
+MOST_LOST = 8  # nodes that are named in a fault besides
 RECOVERABLE = (LostProcess, Stuck, Garbled, ProtocolError)
 
 
@@ -23,7 +24,7 @@ class Fault:
     """Something that went wrong in an array and was made good.
 
     kind     name of the error's class: LostProcess, Stuck, Garbled, ProtocolError
-    what     the error in words
+    what     the error in words, and which nodes ended besides until the reset after it
     phase    load, trace or collect: what the array was doing; "" if it had not begun
     seconds  wall time from the beginning of the attempt to the error, and then until the array was ready again
     restarts nodes that were forked anew
@@ -89,7 +90,9 @@ def _reset(array: Array, error: RaygridError, phase: str, begun: float) -> Fault
     noticed, restarts = time.perf_counter(), array.restarts
     array.reset()
     seconds = (round(noticed - begun, 6), round(time.perf_counter() - noticed, 6))
-    return Fault(type(error).__name__, str(error), phase, seconds, array.restarts - restarts, array.epoch)
+    others = [lost for lost in array.lost_nodes if lost != str(error)][:MOST_LOST]
+    what = f"{error}; besides, {'; '.join(others)}" if others else str(error)
+    return Fault(type(error).__name__, what, phase, seconds, array.restarts - restarts, array.epoch)
 
 
 def _given_up(error: RaygridError, faults: list[Fault]) -> RaygridError:

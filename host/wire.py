@@ -13,9 +13,8 @@ from __future__ import annotations
 import struct
 from typing import Any
 
-import msgpack
-
 from raygrid.node.errors import ProtocolError
+from raygrid.node.maps import Limits, pack_map, read_map
 
 Message = dict[str, Any]
 
@@ -25,12 +24,13 @@ LONGEST = 1 << 23  # bytes of a message
 LONGEST_GREETING = 1 << 10  # of the first message of a client, before it is known
 MOST_ITEMS = 1 << 17  # of a list or map
 DEEPEST = 6  # lists and maps within each other
+LIMITS = Limits(MOST_ITEMS, DEEPEST, most_bytes=0)
 PLAIN = (str, int, float, bool, type(None))
 
 
 def pack(message: Message) -> bytes:
     """A message as bytes. Raises ProtocolError if it is too long."""
-    body: bytes = msgpack.packb(message, use_bin_type=True)
+    body = pack_map(message)
     if len(body) > LONGEST:
         raise ProtocolError(f"a message of {len(body)} bytes was to be sent, wanted at most {LONGEST}")
     return LENGTH.pack(len(body)) + body
@@ -38,38 +38,17 @@ def pack(message: Message) -> bytes:
 
 def unpack(body: bytes | bytearray) -> Message:
     """The map in the body of a message. Raises ProtocolError for anything else."""
-    try:
-        message = msgpack.unpackb(
-            body,
-            raw=False,
-            strict_map_key=True,
-            max_array_len=MOST_ITEMS,
-            max_map_len=MOST_ITEMS,
-            max_bin_len=0,
-            max_ext_len=0,
-        )
-    except (ValueError, msgpack.UnpackException, RecursionError) as error:
-        raise ProtocolError(f"a message of {len(body)} bytes cannot be read: {_first_line(error)}") from None
-    if not isinstance(message, dict):
-        raise ProtocolError(f"a message came as {type(message).__name__}, wanted a map")
-    _check(message, DEEPEST)
+    message = read_map(body, "a message", LIMITS)
+    _check_plain(message)
     return message
 
 
-def _check(value: Message | list[Any], deeper: int) -> None:
-    if deeper == 0:
-        raise ProtocolError(f"a message came with lists and maps deeper than {DEEPEST}")
-    if isinstance(value, dict) and not all(type(key) is str for key in value):
-        raise ProtocolError("a message came with keys that are no strings")
+def _check_plain(value: Message | list[Any]) -> None:
     for inner in value.values() if isinstance(value, dict) else value:
         if isinstance(inner, dict | list):
-            _check(inner, deeper - 1)
-        elif not isinstance(inner, PLAIN):
+            _check_plain(inner)
+        elif not isinstance(inner, PLAIN):  # msgpack lets a string of no bytes pass
             raise ProtocolError(f"a message came with {type(inner).__name__}, wanted plain text and numbers")
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error) or type(error).__name__).splitlines()[0][:200]
 
 
 class Splitter:

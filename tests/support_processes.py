@@ -173,6 +173,13 @@ def _babble(config: dict[str, Any], life: int) -> None:
     raise ValueError("nothing more to say")
 
 
+def _say_and_end(config: dict[str, Any], life: int) -> None:
+    os.write(2, config["said"].encode())
+    if config["status"] < 0:
+        os.kill(os.getpid(), -config["status"])
+    os._exit(config["status"])
+
+
 THEN: dict[str, Callable[[dict[str, Any], int], Any]] = {
     "wait": _wait,
     "return": lambda config, life: None,
@@ -184,6 +191,7 @@ THEN: dict[str, Callable[[dict[str, Any], int], Any]] = {
     "deaf": _deaf,
     "deaf until life ends": _deaf_until_life_ends,
     "babble": _babble,
+    "say and end": _say_and_end,
 }
 
 

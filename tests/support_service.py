@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from support_cli import Outcome, as_process
+from support_cli import Outcome, as_process, warm_kernels
 from support_processes import wait_dead
 from support_render import rendered
 
@@ -56,6 +56,21 @@ def lasting(folder: Path, name: str = "test") -> Iterator[str]:
             yield name
         finally:
             end(name)
+
+
+@pytest.fixture(scope="module")
+def name(warm_kernels: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """An array of 2x1x1 that is up for all tests of a file; one that ends it launches it again."""
+    with lasting(tmp_path_factory.mktemp("state")) as launched:
+        yield launched
+
+
+@pytest.fixture
+def array(name: str) -> Iterator[Service]:
+    """A connection to it; what a test leaves behind is cancelled."""
+    with raygrid.connect(name) as connected:
+        yield connected
+        connected.cancel(None)
 
 
 def on(name: str, *arguments: str, **options: Any) -> Outcome:
@@ -128,4 +143,18 @@ class Peer:
         self.socket.close()
 
 
-__all__ = ["SHAPE", "SIZE", "Peer", "end", "lasting", "on", "state_directory", "sums", "up", "watch_until"]
+__all__ = [
+    "SHAPE",
+    "SIZE",
+    "Peer",
+    "array",
+    "end",
+    "lasting",
+    "name",
+    "on",
+    "state_directory",
+    "sums",
+    "up",
+    "warm_kernels",
+    "watch_until",
+]

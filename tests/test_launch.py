@@ -167,6 +167,34 @@ def test_each_end_is_reported_with_the_node_and_the_reason(gate: Gate):
         assert nursery.pids == {pids[5]: (5, 0, 0)}
 
 
+@pytest.mark.parametrize(
+    ("status", "why"),
+    [
+        (127, "exit code 127: no memory for a thread's data"),
+        (3, "exit code 3"),
+        (-int(signal.SIGABRT), "signal SIGABRT: no memory for a thread's data"),
+        (-int(signal.SIGKILL), "signal SIGKILL"),
+    ],
+)
+def test_what_a_library_says_before_it_ends_a_node_is_passed_on(gate: Gate, monkeypatch, status, why):
+    monkeypatch.delenv("RAYGRID_DEBUG", raising=False)  # or all of it goes to the terminal
+    with start() as nursery:
+        nursery.launch([gate.config(0, "say and end", said="no memory for a thread's data\n", status=status)])
+        (event,) = wait_ended(nursery, 1)
+        assert event.why == why
+
+
+def test_what_a_library_says_is_passed_on_once_and_for_the_node_that_it_ended(gate: Gate, monkeypatch):
+    monkeypatch.delenv("RAYGRID_DEBUG", raising=False)
+    with start() as nursery:
+        nursery.launch([gate.config(0, "say and end", said="Out of memory (src/msg.cpp:1)\n", status=0)])
+        wait_ended(nursery, 1)
+        for number, why in (1, "signal SIGABRT: Out of memory (src/msg.cpp:1)"), (2, "signal SIGABRT"):
+            nursery.launch([gate.config(number, "kill", signal=int(signal.SIGABRT))])
+            (event,) = wait_ended(nursery, 1)
+            assert event.why == why
+
+
 def test_the_traceback_is_shown_on_demand(gate: Gate, monkeypatch, capfd):
     monkeypatch.setenv("RAYGRID_DEBUG", "1")
     with start() as nursery:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 from collections.abc import Iterator
 from functools import cache
@@ -35,6 +36,7 @@ def job(size: tuple[int, int] = (48, 36), samples: int = 1) -> Job:
 
 
 LONG = ((500, 400), 4)
+FEW_DESCRIPTORS = 8  # enough to wait for those that are open, too few to open more
 
 
 @cache
@@ -122,6 +124,19 @@ def test_a_node_that_does_not_answer_is_forked_anew(array, monkeypatch):
     array.reset()
     assert [now == then for now, then in zip(array.pids, pids, strict=True)] == [True, True, True, False]
     still_right(array)
+
+
+def test_a_node_that_cannot_open_its_new_links_is_told_and_forked_anew(array):
+    pid = array.pids[1]
+    resource.prlimit(pid, resource.RLIMIT_NOFILE, (FEW_DESCRIPTORS, FEW_DESCRIPTORS))
+    array.reset()
+    assert pid not in array.pids
+    assert array.lost_nodes == [
+        f"node 1,0,0 (pid {pid}) ended: exit code 1: ZMQError: Too many open files",
+    ]
+    still_right(array)
+    array.reset()
+    assert array.lost_nodes == []
 
 
 def test_a_node_that_hangs_is_noticed_when_patience_ends(array, monkeypatch):

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 from support_cli import RAYGRID, as_process, one_line, warm_kernels
 from support_render import SCENES
-from support_service import SIZE, Peer, lasting, on, sums, up, watch_until
+from support_service import SIZE, Peer, array, name, on, sums, up, watch_until
 from support_terminal import HIDE, SHOW, Terminal
 
 import raygrid
@@ -20,26 +20,11 @@ from raygrid.host.service_files import find
 from raygrid.host.wire import LENGTH, LONGEST_GREETING, VERSION, pack
 from raygrid.node.errors import ArrayError
 
-__all__ = ["warm_kernels"]
+__all__ = ["array", "name", "warm_kernels"]
 
 TINY, KINDS = SCENES / "tiny.nff", SCENES / "kinds.nff"
 SMALL = ("--size", f"{SIZE[0]}x{SIZE[1]}")
 LONG = {"size": (3000, 3000), "samples": 64}  # minutes: no test waits for its end
-
-
-@pytest.fixture(scope="module")
-def name(warm_kernels, tmp_path_factory):
-    """An array of 2x1x1 that is up for all tests here."""
-    with lasting(tmp_path_factory.mktemp("state")) as name:
-        yield name
-
-
-@pytest.fixture
-def array(name):
-    """A connection to it; what a test leaves behind is cancelled."""
-    with raygrid.connect(name) as array:
-        yield array
-        array.cancel(None)
 
 
 # ---- frames ----

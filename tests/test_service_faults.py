@@ -13,7 +13,7 @@ import pytest
 from support_cli import RAYGRID, TINY, as_process, one_line, warm_kernels
 from support_processes import wait_dead
 from support_render import SCENES
-from support_service import SIZE, lasting, on, state_directory, sums, up, watch_until
+from support_service import SIZE, array, name, on, state_directory, sums, up, watch_until
 from support_terminal import Terminal
 
 import raygrid
@@ -22,26 +22,11 @@ from raygrid.host import client
 from raygrid.host.service_files import find, take_lock
 from raygrid.node.errors import ArrayError
 
-__all__ = ["warm_kernels"]
+__all__ = ["array", "name", "warm_kernels"]
 
 KINDS = SCENES / "kinds.nff"
 MIDDLE = {"size": (400, 300), "samples": 4}  # a second or so
 LONG = {"size": (3000, 3000), "samples": 64}  # minutes: no test waits for its end
-
-
-@pytest.fixture(scope="module")
-def name(warm_kernels, tmp_path_factory):
-    """An array of 2x1x1; a test that ends it launches it again."""
-    with lasting(tmp_path_factory.mktemp("state")) as name:
-        yield name
-
-
-@pytest.fixture
-def array(name):
-    """A connection to it; what a test leaves behind is cancelled."""
-    with raygrid.connect(name) as array:
-        yield array
-        array.cancel(None)
 
 
 def check_usable(array, folder):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from support_cli import one_line, warm_kernels
 from support_render import SCENES
-from support_service import lasting, on
+from support_service import name, on
 
 import raygrid
 from raygrid.emulator.memory_array import MemoryArray
@@ -19,19 +19,12 @@ from raygrid.host.shot_jobs import jobs_of
 from raygrid.host.turntable import turntable
 from raygrid.node.errors import ArrayError
 
-__all__ = ["warm_kernels"]
+__all__ = ["name", "warm_kernels"]
 
 MOBILE, TINY = SCENES / "mobile.toml", SCENES / "tiny.nff"
 SMALL = {"size": (24, 18), "samples": 1}
 OPTIONS = ("--size", "24x18", "--samples", "1")
 LOADS = ("floods", "increments")
-
-
-@pytest.fixture(scope="module")
-def name(warm_kernels, tmp_path_factory):
-    """An array of 2x1x1 that is up for all tests here."""
-    with lasting(tmp_path_factory.mktemp("state")) as name:
-        yield name
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
 from collections.abc import Iterator
 from functools import cache
@@ -81,6 +82,23 @@ def test_a_node_lost_in_any_phase_changes_no_bit(array, phase, sign):
     said = "is stopped" if sign == signal.SIGSTOP else "ended: signal SIGKILL"
     assert fault["what"] == f"node 0,1,0 (pid {pid}) {said}"
     assert [fault.what for fault in told] == [fault["what"] for fault in picture.stats["faults"]]
+
+
+def test_a_fault_names_all_nodes_that_ended(array):
+    killed, limited = array.pids[2], array.pids[0]
+
+    def act() -> None:
+        resource.prlimit(limited, resource.RLIMIT_NOFILE, (8, 8))
+        os.kill(killed, signal.SIGKILL)
+
+    picture = render_steadily(array, job(), watch=once("trace", act))
+    assert np.array_equal(picture.sums, truth())
+    (fault,) = picture.stats["faults"]
+    assert fault["restarts"] == 2
+    assert fault["what"] == (
+        f"node 0,1,0 (pid {killed}) ended: signal SIGKILL; besides, "
+        f"node 0,0,0 (pid {limited}) ended: exit code 1: ZMQError: Too many open files"
+    )
 
 
 def test_without_faults_there_are_none(array):
