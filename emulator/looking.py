@@ -61,7 +61,7 @@ def look(cell, space, frame, surfaces, packet, stack, counts):
     else:
         d, upper = unit_vector(read_u24(packet, 14), read_u24(packet, 17)), np.inf
     inv = (inverse(d[0]), inverse(d[1]), inverse(d[2]))
-    t_in, t_out, leave = passage(cell, origin, o, inv)
+    t_in, t_out, leave = passage(cell, o, inv)
     item, t, u, v = np.int64(-1), upper, 0.0, 0.0
     if len(surfaces.floats) > 0:
         t, item, u, v = closest(surfaces, stack, o, d, inv, max(t_in, T_MIN), min(t_out, upper), counts)

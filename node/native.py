@@ -140,8 +140,26 @@ def _address(typingctx: Any, array: Any, index: Any) -> Any:
     return types.int64(array, types.int64), codegen
 
 
+def _copy_bytes(typingctx: Any, source: Any, at: Any, target: Any, to: Any, size: Any) -> Any:
+    """Copy bytes between two flat uint8 arrays, which must not overlap there. Nothing is checked.
+
+    A loop over bytes becomes as many loads and stores, since arrays might overlap; of a packet this makes two each.
+    """
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        places = []
+        for array, index in ((2, 3), (0, 1)):
+            data = context.make_array(signature.args[array])(context, builder, arguments[array]).data
+            places.append(builder.gep(data, [arguments[index]]))
+        cgutils.raw_memcpy(builder, places[0], places[1], arguments[4], 1)
+        return context.get_dummy_value()
+
+    return types.void(source, types.int64, target, types.int64, types.int64), codegen
+
+
 # kernels call them without the first argument
 call_long: Any = intrinsic(_call_long)
 call_int: Any = intrinsic(_call_int)
 bytes_at: Any = intrinsic(_bytes_at)
 address: Any = intrinsic(_address)
+copy_bytes: Any = intrinsic(_copy_bytes)

@@ -37,6 +37,7 @@ from numpy.typing import NDArray
 
 from .compiled import kernel, part
 from .errors import PacketError
+from .native import copy_bytes
 
 SIZE = 25
 
@@ -262,8 +263,7 @@ def get_intensity(buffer, at):
 @part
 def copy_packet(source, at, target, to):
     """Move 25 bytes."""
-    for k in range(SIZE):
-        target[to + k] = source[at + k]
+    copy_bytes(source, at, target, to, SIZE)
 
 
 # --- checking -----------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ from __future__ import annotations
 from .backlog import CLASSES, MOST, RAYS, SHADOWS, TRAVELLERS
 from .births import DONE, bear_primaries
 from .compiled import part
+from .native import copy_bytes
 from .packets import SIZE
 from .step import HEAD, fullest, step
 from .walk import SELF, SELF_RAYS
@@ -51,8 +52,7 @@ def _take_own(outputs, output, packets, ports, held):
     """Put what starts in this node on its stack; returns how many are there."""
     many = outputs.held[output]
     row, to = outputs.data[output], held * SIZE
-    for k in range(many * SIZE):
-        packets[to + k] = row[HEAD + k]
+    copy_bytes(row, HEAD, packets, to, many * SIZE)
     for k in range(many):
         ports[held + k] = SELF
     outputs.held[output] = 0

@@ -43,7 +43,7 @@ def walked(space: Space, origin: Index, d: Vector, start: Index | None = None) -
         assert path == [] or is_walking(cell, origin, port), "a walking ray was taken for one on its way to its start"
         onward = NO_PORT if is_walking(cell, origin, port) else towards_start(cell, origin)
         if onward == NO_PORT:
-            t_in, t_out, onward = passage(cell, origin, at, inv)
+            t_in, t_out, onward = passage(cell, at, inv)
             path.append((index, t_in, t_out, onward))
             if leaves_array(index, space.shape, onward):
                 return path
