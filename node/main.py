@@ -137,7 +137,7 @@ def _serve(
     kind = processor_class(config)
     processor = kind(index, shape, open_links(config, channels), config["batch"], programs=bool(config.get("programs")))
     if kind is Processor:  # what keeps machine time takes other messages
-        processor.wire(Wired(processor.links, pairs, timed=bool(config.get("profile"))))
+        processor.wire(Wired(processor.links, pairs, (life, line.fileno()), timed=bool(config.get("profile"))))
     faults = [channel for channel in channels.values() if isinstance(channel, Faulty)]
     if config.get("profile"):
         from .profile import Profile
@@ -160,13 +160,7 @@ def _serve(
                 return order
             if ready == life or line.closed:
                 return None
-        gathered = processor.gathers
-        if gathered:
-            time.sleep(processor.linger)
-            for ready, _ in poller.poll(0):
-                if ready in ports and not processor.serves_itself(ports[ready]):  # the rest is looked at in a moment
-                    processor.receive(ports[ready])
-        processor.work(patient=not gathered)
+        processor.work(wait=not probe.wanted)
         if probe.wanted:
             probe.maybe_speak(processor, config["epoch"])
     poller.unregister(line.fileno())

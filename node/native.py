@@ -8,6 +8,8 @@ served by Python alone: slower, and the same in all else.
 from __future__ import annotations
 
 import ctypes
+import sys
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -18,8 +20,8 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 # places in the table of addresses
-INITIALIZE, RECEIVE, DATA, LENGTH, MORE, SEND, ERROR, CHECKSUM, MESSAGE, AGAIN, CLOCK = range(11)
-ADDRESSES = 11
+INITIALIZE, RECEIVE, DATA, LENGTH, MORE, SEND, POLL, ERROR, CHECKSUM, MESSAGE, AGAIN, SLEEP, CLOCK = range(13)
+ADDRESSES = 13
 MESSAGE_WORDS = 8  # of a zmq_msg_t, which has 64 bytes and wants to begin at a multiple of 8
 
 _FROM_ZEROMQ = {
@@ -29,11 +31,12 @@ _FROM_ZEROMQ = {
     LENGTH: "zmq_msg_size",
     MORE: "zmq_msg_more",
     SEND: "zmq_send",
+    POLL: "zmq_poll",
     ERROR: "zmq_errno",
 }
 # the first also looks which instructions the processor has, where it can (x86)
 _CHECKSUMS = ("XXH3_64bits_withSeed_dispatch", "XXH3_64bits_withSeed")
-_CLOCK = "clock_gettime"
+_SLEEP, _CLOCK = "usleep", "clock_gettime"
 
 
 def _address_of(library: ctypes.CDLL, name: str) -> int:
@@ -43,6 +46,8 @@ def _address_of(library: ctypes.CDLL, name: str) -> int:
 def find_functions() -> NDArray[np.int64] | None:
     """The table of addresses, int64 (ADDRESSES,), without a message and a clock yet; None if one cannot be found."""
     table = np.zeros(ADDRESSES, np.int64)
+    if sys.byteorder != "little":  # of `poll_items`
+        return None
     try:
         import xxhash._xxhash as of_checksum
         from zmq.backend.cython import _zmq as of_zeromq
@@ -53,6 +58,7 @@ def find_functions() -> NDArray[np.int64] | None:
         library = ctypes.CDLL(of_checksum.__file__)
         names = [name for name in _CHECKSUMS if hasattr(library, name)]
         table[CHECKSUM] = _address_of(library, names[0])
+        table[SLEEP] = _address_of(ctypes.CDLL(None), _SLEEP)
     except (ImportError, AttributeError, IndexError, OSError):
         return None
     table[AGAIN] = int(zmq.EAGAIN)
@@ -65,6 +71,16 @@ def find_clock() -> int:
         return _address_of(ctypes.CDLL(None), _CLOCK)
     except (AttributeError, OSError):
         return 0
+
+
+def poll_items(sockets: Iterable[int], descriptors: Iterable[int]) -> NDArray[np.int64]:
+    """What `zmq_poll` is to wait for, int64 (n, 2): sockets of these addresses, and descriptors, with something to read.
+
+    An item is a zmq_pollitem_t: address of a socket; descriptor (32 bits), wanted events, found events (16 bits each).
+    """
+    wanted = int(zmq.POLLIN) << 32
+    rows = [(socket, wanted) for socket in sockets] + [(0, wanted | one) for one in descriptors]
+    return np.array(rows, np.int64).reshape(-1, 2)
 
 
 class Message:

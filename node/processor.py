@@ -41,6 +41,7 @@ from .messages import MessageKind, check_packets, pack_surfaces, read_order, rea
 from .orders import read_frame, read_space
 from .overlap import meets
 from .packets import FAULTS, PacketKind
+from .rounds import NAP
 from .surfaces import SURFACE_KINDS, AnyKind, Batch
 from .tables import BORN, BOXES, COUNTS, DIED, HITS, SENT, TESTS, WALKS
 from .tracer import FLUSH, Tracer
@@ -98,7 +99,6 @@ class Processor:
         self._halted = self._built = False
         self.refused: Counter[str] = Counter()
         self._cpu_at_frame = 0.0
-        self.linger = 0.0
         self.tracer.flush, self.tracer.batch = min(FLUSH, batch), batch
         self._wired: Wired | None = None
         self._ports = list(links.items())
@@ -134,33 +134,33 @@ class Processor:
         """Whether `work` receives what comes over a link, so that `receive` need not be called for it."""
         return self._wired is not None and self.tracer.frame is not None and self._wired.serves(port)
 
-    def work(self, patient: bool = False) -> bool:
-        """Do one piece of work; whether there is more. `patient`: if it is better to gather, do no more than that."""
+    def work(self, wait: bool = False) -> bool:
+        """Do one piece of work; whether there is more. `wait`: whether to wait for messages where compiled code can."""
         if self._surfaces:
             self._take_surfaces()
         if self.tracer.increments.pending:
             self._hand_on()
         if self.tracer.has_work or (self._wired is not None and self.tracer.frame is not None):
-            self._trace(patient)
+            self._trace(wait and self._may_wait)
         self._flush()
         if self._wave is not None:
             self._maybe_answer()
         return self.busy
 
-    def _trace(self, patient: bool) -> None:
+    def _trace(self, wait: bool) -> None:
         """Work on packets, those too that come meanwhile over links that compiled code serves."""
         if self._wired is None:
-            self._work_on_packets(patient)
+            self._work_on_packets(wait)
             return
         self._wired.begin()
-        port = self._wired.end(self._work_on_packets(patient))
+        port = self._wired.end(self._work_on_packets(wait))
         if port is not None:
             self.receive(port)
 
-    def _work_on_packets(self, patient: bool) -> int:
+    def _work_on_packets(self, wait: bool) -> int:
         """What a program raises is refused, with the packets that it was working on. Returns why work ended."""
         try:
-            return self.tracer.work(patient)
+            return self.tracer.work(wait)
         except Exception as error:
             if self.tracer.program is None:
                 raise
@@ -171,20 +171,18 @@ class Processor:
             return IDLE
 
     @property
+    def _may_wait(self) -> bool:
+        """Whether nothing but a message can give this node more to do than packets."""
+        answers = self._wave is not None and len(self._answers) == len(self._children)
+        return not (answers or self.choked or self._surfaces or self.tracer.increments.pending) and (
+            self.tracer.collecting < 0
+        )
+
+    @property
     def busy(self) -> bool:
         """Whether `work` has something to do now."""
         held = self._surfaces or self.tracer.increments.pending
         return self.tracer.has_work or (bool(held) and not self._clogged())
-
-    @property
-    def gathers(self) -> bool:
-        """Whether it is better to wait a little for more packets than to serve the few that are here.
-
-        While far more packets are under way than processors of this computer can serve, each turn of each node
-        costs more than the packets that it serves, unless they are many.
-        """
-        tracer = self.tracer
-        return 0 < tracer.backlog.held < tracer.gather and not (tracer.quota > 0 and tracer.samples_left)
 
     def wait_limit(self) -> float | None:
         """Seconds after which `work` must be called even if nothing arrives; None: never."""
@@ -368,7 +366,8 @@ class Processor:
             raise ProtocolError(
                 f"gather, linger and flush came as {gather!r}, {linger!r}, {flush!r}, wanted packets, seconds, packets"
             )
-        self.tracer.gather, self.linger, self.tracer.flush = gather, linger, max(1, min(flush, self.batch))
+        tracer = self.tracer
+        tracer.gather, tracer.naps, tracer.flush = gather, int(linger * 1e6) // NAP, max(1, min(flush, self.batch))
 
     def _maybe_answer(self) -> None:
         """Answer the wave once the children have and this node is ready to."""

@@ -131,7 +131,7 @@ class Profile:
 
         return timed
 
-    def _work(self, patient: bool = False) -> int:
+    def _work(self, wait: bool = False) -> int:
         self._calls += 1
         begun = time.thread_time()
         if self._calls % EVERY == 1 and self._processor.tracer.frame is not None:
@@ -139,8 +139,10 @@ class Profile:
         spent = self._processor.tracer.wires.spent
         spent[:] = 0
         served = time.thread_time()
-        why = self._serve(patient)
+        why = self._serve(wait)
         whole = time.thread_time() - served
+        self.whys = getattr(self, "whys", {})
+        self.whys[why] = self.whys.get(why, 0) + 1
         receiving, turning, sending = (spent[:3] * 1e-9).tolist()
         self._seconds["receive"] += receiving
         self._seconds["send"] += sending
@@ -186,6 +188,7 @@ class Profile:
         """The processor's record with `profile`: seconds by part."""
         record = self._record()
         record["calls"] = self._calls
+        record["whys"] = {str(k): v for k, v in self.whys.items()}
         record["profile"] = {part: round(seconds, 6) for part, seconds in self.seconds().items()}
         return record
 

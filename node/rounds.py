@@ -44,13 +44,15 @@ from .turn import CROWDED, FULL, IDLE, LONG, turn
 from .walk import HOST, PORTS
 
 # further reasons to end, after those of a turn
-GATHER, SEND, OTHER = 4, 5, 6  # few packets wait; Python has something to send; OTHER + port: a message for Python
+SEND, OTHER = 4, 5  # Python has something to send; OTHER + port: a message for Python
 ROUNDS = 65536  # packets after which Python looks at orders, probes and the clock
+NAP = 500  # microseconds
+DROWSY_FLUSH = 256  # packets for which an output is sent before a nap
 DONTWAIT = 1  # of ZeroMQ, part of its interface
 _PACKETS, _CREDIT = int(MessageKind.PACKETS), int(MessageKind.CREDIT)
 # places in Wires.spent and Pace
 RECEIVING, TURNING, SENDING = 0, 1, 2
-AFTER, BELOW, AT_ONCE, FLUSH, LEAST, BATCH, PATIENT = range(7)
+AFTER, BELOW, AT_ONCE, FLUSH, LEAST, NAPS, BATCH, WAIT = range(8)
 
 
 class Wires(NamedTuple):
@@ -60,18 +62,22 @@ class Wires(NamedTuple):
     calls   int64 (native.ADDRESSES,)
     spent   int64 (5,): nanoseconds of receiving, turns and sending, if there is a clock; and room for what it says
     header  uint8 (HEAD,): room for a header
+    items   int64 (n, 2): all that a node waits for (`native.poll_items`), sockets of neighbours first
+    ports   int64 (n,): the ports of these, -1 for what Python looks after
     """
 
     books: NDArray[np.int64]
     calls: NDArray[np.int64]
     spent: NDArray[np.int64]
     header: NDArray[np.uint8]
+    items: NDArray[np.int64]
+    ports: NDArray[np.int64]
 
 
 def no_wires() -> Wires:
     """Of a node whose links are served by Python alone."""
     zeros = np.zeros((PORTS, BOOK), np.int64), np.zeros(native.ADDRESSES, np.int64), np.zeros(5, np.int64)
-    return Wires(*zeros, np.zeros(HEAD, np.uint8))
+    return Wires(*zeros, np.zeros(HEAD, np.uint8), np.zeros((0, 2), np.int64), np.zeros(0, np.int64))
 
 
 @part
@@ -216,17 +222,30 @@ def _receive_all(wires, bounds, stacks, held):
     return -1
 
 
+@part
+def _wait(wires):
+    """Wait until something comes; whether it came over links that are for this code, and over these only."""
+    n = len(wires.items)
+    if call_int(wires.calls[native.POLL], (address(wires.items, np.int64(0)), np.int64(n), np.int64(-1))) <= 0:
+        return False
+    for k in range(n):
+        port = wires.ports[k]
+        if wires.items[k, 1] >> 48 != 0 and (port < 0 or wires.books[port, REGULAR] == 0):
+            return False
+    return True
+
+
 @lean
 def go(cell, space, frame, surfaces, pixels, cursor, quota, pace, bounds, stacks, held, outputs, counts, wires):
     """Go rounds until nothing is left to do, or for a reason above. Returns (quota left, why).
 
     pace    AFTER, BELOW, AT_ONCE: of `turn`; FLUSH: packets for which an output is sent while there is work;
-            LEAST: packets that are worth a turn; BATCH: most packets a message; PATIENT: 0 if the first turn is worth it
-            for any
+            LEAST: packets that are worth a turn; NAPS: so often the node sleeps for NAP before it takes one that is not;
+            BATCH: most packets a message; WAIT: whether to wait where nothing is left to do, until something comes
     bounds  int64, the fields of `Limits`
     Without wires it is one turn. The other arguments are those of `turn`.
     """
-    served, patient, since, wired = 0, pace[PATIENT] != 0, _clock(wires, -1, 0), False
+    served, naps, since, wired = 0, pace[NAPS], _clock(wires, -1, 0), False
     for port in range(PORTS):
         wired = wired or wires.books[port, REGULAR] != 0
     while True:
@@ -236,13 +255,20 @@ def go(cell, space, frame, surfaces, pixels, cursor, quota, pace, bounds, stacks
             return quota, OTHER + odd
         waiting = held[TRAVELLERS] + held[SHADOWS] + held[RAYS]
         if quota == 0 or cursor[DONE] != 0:
-            if waiting == 0:
-                needed = _send_all(wires, outputs, 1, True, pace[BATCH])
-                _clock(wires, SENDING, since)
-                return quota, SEND if needed else IDLE
-            if patient and waiting < pace[LEAST]:
-                return quota, GATHER
-        patient = True
+            drowsy = wired and 0 < waiting < pace[LEAST] and naps > 0
+            if waiting == 0 or drowsy:
+                needed = _send_all(wires, outputs, DROWSY_FLUSH if drowsy else 1, True, pace[BATCH])
+                since = _clock(wires, SENDING, since)
+                if needed:
+                    return quota, SEND
+                if drowsy:
+                    naps -= 1
+                elif pace[WAIT] == 0 or not _wait(wires):
+                    return quota, IDLE
+                if pace[LEAST] > 0:
+                    call_int(wires.calls[native.SLEEP], (np.int64(NAP),))
+                continue
+        naps = pace[NAPS]
         quota, why, done = turn(
             cell, space, frame, surfaces, pixels, cursor, quota, pace, stacks, held, outputs, counts
         )

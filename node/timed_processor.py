@@ -167,7 +167,7 @@ class TimedProcessor(Processor):
     def _idle(self) -> bool:
         return super()._idle() and not (self._started and self._why == BLOCKED)
 
-    def work(self, patient: bool = False) -> bool:
+    def work(self, wait: bool = False) -> bool:
         """Carry out what the promises allow, send what came of it, then do one piece of other work."""
         if self._started and self._prices is not None and self.busy:
             self._dirty = False

@@ -34,6 +34,7 @@ class Tracer:
     """State of one node between two messages.
 
     counts     int64, see `node.tables`: what the machine did for this frame
+    flush, gather, naps, batch  how eagerly it sends and takes turns (`rounds.go`)
     quota      primaries that this node may still bear before it hears from the root again
     samples_left  whether primaries of this node are still to be born
     retained      descriptions of surfaces, of moving ones as they are at rest
@@ -52,7 +53,7 @@ class Tracer:
         self.ready: Compiled | None = None  # a program that is to be used next
         self._go = go
         self.wires = no_wires()
-        self.flush, self.gather, self.batch = FLUSH, 0, FLUSH
+        self.flush, self.gather, self.naps, self.batch = FLUSH, 0, 0, FLUSH
         self._stale = False  # whether what is retained has changed since the tables were made
         self._built_cost = 0.0  # expected cost of the hierarchy when it was built, 0: not worked out
         self.surfaces = empty_surfaces()
@@ -163,10 +164,10 @@ class Tracer:
         """Whether `work` would do anything."""
         return self.backlog.held > 0 or (self.quota > 0 and self.samples_left) or self.collecting >= 0
 
-    def work(self, patient: bool = False) -> int:
-        """Go rounds over the links and the most urgent packets (`node.rounds`), or send pixels if none wait.
+    def work(self, wait: bool = False) -> int:
+        """Go rounds over the links and the most urgent packets (`node.rounds`), and send pixels if none wait.
 
-        patient   whether even the first turn should wait until `gather` packets are here
+        wait   whether it may wait for messages where nothing is left to do
         Returns why the rounds ended.
         """
         if self.frame is None:
@@ -183,7 +184,7 @@ class Tracer:
             self.pixels,
             self.cursor,
             self.quota,
-            (TURN, ADMIT_BELOW, ADMIT_AT_ONCE, self.flush, self.gather, self.batch, int(patient)),
+            (TURN, ADMIT_BELOW, ADMIT_AT_ONCE, self.flush, self.gather, self.naps, self.batch, wait),
             backlog.bounds,
             backlog.stacks,
             backlog.count,

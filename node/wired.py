@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+
+import numpy as np
 
 from . import native
 from .link import REGULAR, SOCKET, Link
@@ -17,8 +19,13 @@ class Wired:
     wires   their tables, for `rounds.go`
     """
 
-    def __init__(self, links: Mapping[int, Link], pairs: Mapping[int, Pair], timed: bool = False) -> None:
-        """Take over the books of the links whose channels are these pairs. `timed`: let the rounds be timed."""
+    def __init__(
+        self, links: Mapping[int, Link], pairs: Mapping[int, Pair], others: Iterable[int] = (), timed: bool = False
+    ) -> None:
+        """Take over the books of the links whose channels are these pairs.
+
+        others  descriptors for which a node waits as well; timed  let the rounds be timed
+        """
         self.wires = no_wires()
         self._links: list[tuple[int, Link]] = []
         self._wired: dict[int, Link] = {}
@@ -35,6 +42,11 @@ class Wired:
                 self.wires.books[port, SOCKET] = pairs[port].socket.underlying
                 self._links.append((port, link))
         self._wired = dict(self._links)
+        items = native.poll_items([int(pair.socket.underlying) for pair in pairs.values()], others)
+        ports = [port if port in self._wired else -1 for port in pairs]
+        self.wires = self.wires._replace(
+            items=items, ports=np.array(ports + [-1] * (len(items) - len(ports)), np.int64)
+        )
 
     def begin(self) -> None:
         """Before rounds: mark the links that are regular."""
