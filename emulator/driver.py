@@ -44,7 +44,7 @@ from raygrid.node.tables import BORN, DIED, Frame
 from .increments import Held, check_moves, increment
 
 CHUNK_BYTES = 1 << 16  # surfaces in a message
-BUDGET = 262_144  # packets in flight below which primaries are admitted, and so the most primaries alive (`bounds`)
+BUDGET = 1 << 20  # packets in flight below which primaries are admitted, and so the most primaries alive (`bounds`)
 PATIENCE = 30.0  # seconds without any progress after which the array is taken to hang
 HOLD = 0.02  # seconds for which a busy node may hold a wave, and a millisecond more for every node
 # seconds that a node waits for more packets: so long for every node that a processor of this computer carries, at most

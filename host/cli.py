@@ -87,7 +87,7 @@ def cli() -> None:
               help="Where the planes between processors lie: so that work is spread, or in equal boxes.")
 @click.option("--batch", type=Number(1, 8192), default=4096, show_default=True, metavar="PACKETS",
               help="Most packets a message; 1 is the machine of 1983.")
-@click.option("--budget", type=Number(1, (1 << 32) - 1), default=262_144, show_default=True, metavar="PACKETS",
+@click.option("--budget", type=Number(1, (1 << 32) - 1), default=1 << 20, show_default=True, metavar="PACKETS",
               help="Packets in flight below which new primary rays are admitted.")
 @click.option("--transfer", type=click.Choice(["srgb", "linear"]), default="srgb", show_default=True,
               help="From linear radiance to the bytes of a picture.")

@@ -84,7 +84,7 @@ class Submit(Strictly):
     outputs: Annotated[list[Path], Field(min_length=1, max_length=16)]
     stats: Path | None = None
     transfer: Literal["srgb", "linear"] = "srgb"
-    budget: Annotated[int, Field(ge=1, le=(1 << 32) - 1)] = 262_144
+    budget: Annotated[int, Field(ge=1, le=(1 << 32) - 1)] = 1 << 20
     resume: bool = False
     client: Annotated[str, Field(max_length=64)] = ""
     turntable: TurntableOf | None = None

@@ -17,7 +17,7 @@ from .step import HEAD
 TRAVELLERS, SHADOWS, RAYS = 0, 1, 2
 CLASSES = 3
 MOST = 3  # place after the classes: the most packets that waited at once
-FIRST_ROOM = 8192  # packets
+FIRST_ROOM = 32768  # packets; kept from frame to frame, so that its pages are there
 BYTES_A_PACKET = SIZE + 1  # the packet, and the port by which it came
 
 Bytes = NDArray[np.uint8]
@@ -78,7 +78,10 @@ class Backlog:
 
     def __init__(self) -> None:
         self.bounds = np.zeros(7, np.int64)
-        self.clear()
+        self.count = np.zeros(CLASSES + 1, np.int64)
+        self.stacks = Stacks(
+            *[np.zeros(FIRST_ROOM * (1 if k >= CLASSES else SIZE), np.uint8) for k in range(2 * CLASSES)]
+        )
 
     @property
     def held(self) -> int:
@@ -102,9 +105,15 @@ class Backlog:
 
     def clear(self) -> None:
         """Forget all packets, and the most that waited, and give large buffers back."""
-        packets = [np.zeros(FIRST_ROOM * SIZE, np.uint8) for _ in range(CLASSES)]
-        self.stacks = Stacks(*packets, *[np.zeros(FIRST_ROOM, np.uint8) for _ in range(CLASSES)])
-        self.count = np.zeros(CLASSES + 1, np.int64)
+        buffers = list(self.stacks)
+        for kind in range(CLASSES):
+            if len(buffers[CLASSES + kind]) > FIRST_ROOM:
+                buffers[kind], buffers[CLASSES + kind] = (
+                    np.zeros(FIRST_ROOM * SIZE, np.uint8),
+                    np.zeros(FIRST_ROOM, np.uint8),
+                )
+        self.stacks = Stacks(*buffers)
+        self.count[:] = 0
 
     def set_limits(self, limits: Limits) -> None:
         """What packets of the frame may name."""

@@ -17,6 +17,7 @@ from .pair import Pair
 from .probe import Probe, read_rate
 from .processor import Processor
 from .reset import read_reset
+from .usage import keep_freed_memory
 from .walk import HOST, OPPOSITE
 from .wired import Wired
 
@@ -39,6 +40,7 @@ def run(config: dict[str, Any], life: int, line: int) -> None:
     line, {is: broken, why}, closes its links and waits for the reset. Anything else that goes wrong ends the process.
     """
     gc.set_threshold(50_000, 50, 50)  # a turn makes no cycles; the default would look for them every few turns
+    keep_freed_memory()
     context: zmq.Context[Any] = zmq.Context(io_threads=1)
     to_host = Line(line)
     probe = Probe(to_host)

@@ -299,6 +299,25 @@ def _fault_of_return(buffer, at, limits):
 @part
 def fault(buffer, at, limits):
     """0 if the 25 bytes at `at` are a packet of this frame, else a key of FAULTS."""
+    head = read_u64(buffer, at)
+    kind, depth, number = head & 7, (head >> 3) & 31, (head >> 8) & 0xFFFFFFFF
+    # rays and shadow rays, nearly all that comes, by one branch
+    sound = (depth >= 1) & (depth <= limits.depth) & (number < limits.samples)
+    if kind == SHADOW:
+        tail = read_u64(buffer, at + 14)
+        weights = max((tail >> 16) & 0xFFFFFF, max((tail >> 40) & 0xFFFFFF, read_u24(buffer, at + 22)))
+        if sound & ((tail & 0xFFFF) < limits.lights) & (weights < 0xFF0000):
+            return 0
+    elif kind >= PRIMARY and kind <= REFRACTED:
+        tail = read_u64(buffer, at + 14)
+        if sound & (max(tail & 0xFFFFFF, (tail >> 24) & 0xFFFFFF) <= 2 * HALF_DIRECTION):
+            return 0
+    return _named_fault(buffer, at, limits)
+
+
+@part
+def _named_fault(buffer, at, limits):
+    """As `fault`, one thing after the other."""
     kind, depth = np.int64(buffer[at]) & 7, np.int64(buffer[at]) >> 3
     if kind < PRIMARY or kind > PIXEL:
         return 1

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import os
 import time
 
 PRIVATE_SECONDS = 1.0  # age at which private memory is looked up again: that takes the kernel longer than a small frame
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of mallopt(3)
+KEPT_MEMORY, LARGEST_KEPT = 1 << 25, 1 << 22  # bytes
 _private = (0, -1.0, 0)  # process, when, bytes
 
 
@@ -30,3 +34,14 @@ def private_memory() -> int:
     if _private[0] != pid or now - _private[1] >= PRIVATE_SECONDS:  # a fork starts anew
         _private = pid, now, _sum_of("/proc/self/smaps_rollup", ("Private_Clean:", "Private_Dirty:"))
     return _private[2]
+
+
+def keep_freed_memory() -> None:
+    """Let glibc keep what is freed for what is allocated next.
+
+    Else each message of more than 128 KiB would get pages of its own from the kernel, cleared by it, and give them back.
+    """
+    with contextlib.suppress(OSError, AttributeError):  # another C library
+        mallopt = ctypes.CDLL(None).mallopt
+        mallopt(M_TRIM_THRESHOLD, KEPT_MEMORY)
+        mallopt(M_MMAP_THRESHOLD, LARGEST_KEPT)
