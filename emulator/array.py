@@ -148,6 +148,7 @@ class Array:
 
         Raises LostProcess, Stuck or ProtocolError if that fails several times, ArrayError if nodes cannot be forked.
         """
+        import_links()
         self.wait_warm()
         assert self._nursery is not None
         import zmq
@@ -390,6 +391,15 @@ class Array:
         if error is not None:
             self._driver = None  # nothing more is asked of an array that failed
         self.close()
+
+
+def import_links() -> None:
+    """Import what an array needs once its nursery is warm; it costs nothing beside the warming."""
+    import zmq  # noqa: F401
+
+    from raygrid.node import flood, pair  # noqa: F401
+
+    from . import crew, driver, topology, wiring  # noqa: F401
 
 
 def _name(index: Index) -> str:

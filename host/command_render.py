@@ -113,12 +113,14 @@ def _render(request: Request, talk: Talk, begun: float, probing: Probing | None)
         job = _read_job(request, talk, array.wait_warm)
         read = time.perf_counter()
         talk.phase(f"launching {shape[0] * shape[1] * shape[2]} processors")
-        array.wait_ready()
-        ready = time.perf_counter()
-
+        # imported before the nursery is waited for
         from raygrid.host.job import samples_expected
+        from raygrid.host.picture import prepare
         from raygrid.host.steady import render_steadily
 
+        prepare(request.outputs)
+        array.wait_ready()
+        ready = time.perf_counter()
         talk.expect(samples_expected(job))
         if probing is not None:
             array.probe(request.probe_rate, probing.take)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -77,6 +77,14 @@ class Picture:
         sums = np.ascontiguousarray(self.sums)
         np.lib.format.write_array_header_1_0(file, np.lib.format.header_data_from_array_1_0(sums))
         file.write(sums.data)
+
+
+def prepare(paths: Sequence[str | Path]) -> None:
+    """Import what writing these files needs, while there is time for it."""
+    if any(Path(path).suffix.lower() in FORMATS for path in paths):
+        from PIL import Image
+
+        Image.preinit()
 
 
 def _png_texts(texts: Mapping[str, str]) -> Any:
