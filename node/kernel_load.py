@@ -2,12 +2,16 @@
 
 numba's own cache first makes the compiler ready, whatever comes (`BaseContext.refresh`: it imports and registers all
 that could be compiled, a quarter of a second, and scipy if it is installed), and then looks whether the kernel is there. But
-machine code only needs the addresses of the functions that it calls. So their names are kept beside it, and a kernel
-is loaded without the compiler if each of them has an address; if not, the compiler is made ready first, as numba would have
-done. Only a kernel that is not on disk needs it in any case, also after others were loaded without.
+machine code only needs the addresses of what it calls. So these names are kept beside it, and a kernel is loaded
+without the compiler if each of them has an address; if not, the compiler is made ready first, as numba would have done. Only a
+kernel that is not on disk needs it in any case, also after others were loaded without.
 
-numba documents none of this. So every name that is used here is looked for first, and the steps of numba's own `load_overload`
-are compared with those that are known; where anything differs, kernels are cached by numba alone.
+Two more things are left undone until they are needed: the intermediate code of a kernel is parsed when another is compiled
+that calls it, and the environments of what was inlined into it, for which half of numba would be imported, are kept only if
+the machine code uses them (it never did).
+
+numba documents none of this. So every name that is used here is looked for first, and what numba's own functions call is
+compared with what is known; where anything differs, kernels are cached by numba alone.
 
 A cache looks for its directory when it is first used, not when its function is decorated: nine of ten functions are only
 parts of kernels, and are never loaded.
@@ -17,40 +21,63 @@ from __future__ import annotations
 
 import functools
 import inspect
-from typing import Any
+import re
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 from llvmlite import binding as _binding
 from numba.core import caching as _caching
+from numba.core import codegen as _codegen
 from numba.core import config as _config
 
 from .kernel_cache import DirectoryName, in_directory
 
 binding: Any = _binding
 caching: Any = _caching
+codegen: Any = _codegen
 config: Any = _config
 
-# What numba's `Cache.load_overload` calls, and what it hands on.
-_STEPS = {"refresh", "_guard_against_spurious_io_errors", "_load_overload"}
-_SHAPES = (
-    ("Cache", "load_overload", ["self", "sig", "target_context"]),
-    ("Cache", "_load_overload", ["self", "sig", "target_context"]),
-    ("CompileResultCacheImpl", "reduce", ["self", "cres"]),
-    ("CompileResultCacheImpl", "rebuild", ["self", "target_context", "payload"]),
+# The functions of numba that are replaced or relied upon: their parameters, and for some, all names in their code.
+_KNOWN: tuple[tuple[str, str, str, set[str] | None], ...] = (
+    (
+        "Cache",
+        "load_overload",
+        "self sig target_context",
+        {"refresh", "_guard_against_spurious_io_errors", "_load_overload"},
+    ),
+    ("Cache", "_load_overload", "self sig target_context", None),
+    ("CompileResultCacheImpl", "reduce", "self cres", {"_reduce"}),
+    ("CompileResultCacheImpl", "rebuild", "self target_context payload", {"compiler", "CompileResult", "_rebuild"}),
 )
+_UNSERIALIZE = set(
+    "create_library isinstance ll parse_bitcode _final_module _finalize_final_module enable_object_caching "
+    "_set_compiled_object _shared_module _codegen _engine _load_defined_symbols ValueError".split()
+)
+_REBUILD = "cls target_context libdata fndesc env signature objectmode lifted typeann reload_init referenced_envs"
+_ENVIRONMENT = re.compile(r'@"?(_ZN08NumbaEnv[^"\s,()]*)')
 
 
 @functools.cache
 def can_load_alone() -> bool:
     """Whether this numba is one whose kernels can be loaded without its compiler."""
     try:
-        for kind, method, wanted in _SHAPES:
-            if list(inspect.signature(getattr(getattr(caching, kind), method)).parameters) != wanted:
+        for kind, name, parameters, names in _KNOWN:
+            function = getattr(getattr(caching, kind), name)
+            if _parameters(function) != parameters or (names is not None and set(function.__code__.co_names) != names):
                 return False
-        known = caching.FunctionCache.load_overload is caching.Cache.load_overload
-        known = known and set(caching.Cache.load_overload.__code__.co_names) == _STEPS
-        return known and not config.NRT_STATS and _have_runtime()
+        own = caching.FunctionCache.load_overload is caching.Cache.load_overload
+        result = caching.compiler.CompileResult
+        known = _parameters(result._rebuild.__func__) == _REBUILD and hasattr(result, "_replace")
+        unserialize = codegen.JITCodeLibrary._unserialize.__func__.__code__
+        known = known and set(unserialize.co_names) - {"AssertionError"} == _UNSERIALIZE  # of its assert
+        return own and known and not config.NRT_STATS and _have_runtime()
     except (AttributeError, ImportError, TypeError, ValueError):
         return False
+
+
+def _parameters(function: Any) -> str:
+    return " ".join(inspect.signature(function).parameters)
 
 
 @functools.cache
@@ -64,26 +91,46 @@ def _have_runtime() -> bool:
     return bool(helpers)
 
 
-def needed_names(compiled: Any) -> tuple[str, ...]:
-    """The names that a compile result's machine code wants from outside, sorted."""
-    module = compiled.library._final_module
-    outside = [one.name for ones in (module.functions, module.global_variables) for one in ones if one.is_declaration]
-    return tuple(sorted(name for name in outside if not name.startswith("llvm.")))
+class Names(NamedTuple):
+    """Of a compiled function: what its machine code wants from outside, and what it defines."""
+
+    wanted: tuple[str, ...]
+    defined: tuple[str, ...]
+
+
+def names_of(library: Any) -> Names:
+    """The names of a library's final module."""
+    module = library._get_module_for_linking()
+    every = [(one.name, one.is_declaration) for ones in (module.functions, module.global_variables) for one in ones]
+    wanted = [name for name, outside in every if outside and not name.startswith("llvm.")]
+    return Names(tuple(wanted), tuple(name for name, outside in every if not outside))
+
+
+def used_environments(library: Any, environments: Sequence[Any]) -> tuple[Any, ...]:
+    """Those of a compiled function's environments whose pointers its code uses, not only declares."""
+    uses = Counter(_ENVIRONMENT.findall(str(library._final_module)))
+    return tuple(one for one in environments if uses[one.env_name] != 1)
 
 
 if can_load_alone():
 
     class _Payload(caching.CompileResultCacheImpl):  # type: ignore[misc]
-        """What is kept of a kernel: the names that it wants, and what numba keeps."""
+        """What is kept of a kernel: its names, and what numba keeps."""
 
-        def reduce(self, cres: Any) -> tuple[tuple[str, ...], Any]:
-            return needed_names(cres), super().reduce(cres)
+        def reduce(self, cres: Any) -> tuple[Names, Any]:
+            *kept, environments = super().reduce(cres)
+            return names_of(cres.library), (*kept, used_environments(cres.library, environments))
 
         def rebuild(self, target_context: Any, payload: Any) -> Any:
             names, kept = payload
-            if not all(map(binding.address_of_symbol, names)):
+            if not all(map(binding.address_of_symbol, names.wanted)):
                 target_context.refresh()
-            return super().rebuild(target_context, kept)
+            (name, kind, data), *rest = kept
+            if kind != "object":
+                return super().rebuild(target_context, kept)
+            lender = _Lender(target_context, _library(target_context.codegen(), name, data, names))
+            result = caching.compiler.CompileResult._rebuild(lender, kept[0], *rest)
+            return result._replace(target_context=target_context)
 
     class _Alone(caching.FunctionCache):  # type: ignore[misc]
         """numba's cache of a function, that looks first."""
@@ -96,6 +143,38 @@ if can_load_alone():
                 if found is not None:
                     return found
             return super().load_overload(sig, target_context)
+
+
+def _library(generator: Any, name: str, data: tuple[bytes, bytes], names: Names) -> Any:
+    """As `JITCodeLibrary._unserialize` makes it of object code, but the module for linking is parsed if it is asked for."""
+    object_code, bitcode = data
+    library = generator.create_library(name)
+
+    def module_for_linking() -> Any:
+        if library._shared_module is None:
+            library._shared_module = binding.parse_bitcode(bitcode)
+        return library._shared_module
+
+    library.enable_object_caching()
+    library._set_compiled_object(object_code)
+    library._get_module_for_linking = module_for_linking
+    library._finalize_final_module()
+    generator._engine._defined_symbols.update(names.defined)
+    return library
+
+
+class _Lender:
+    """Stands for a target context while a result is rebuilt: lends it a library that is made already."""
+
+    def __init__(self, context: Any, library: Any) -> None:
+        self.typing_context, self.get_executable = context.typing_context, context.get_executable
+        self._library = library
+
+    def codegen(self) -> _Lender:
+        return self
+
+    def unserialize_library(self, _state: Any) -> Any:
+        return self._library
 
 
 class LazyCache:
