@@ -143,6 +143,10 @@ class Array:
             raise ArrayError("the array has not begun")
         self._nursery.wait_warm(WARM_SECONDS)
 
+    def is_warm(self) -> bool:
+        """Whether nodes could be forked at once. Raises ArrayError if the nursery has failed."""
+        return self._nursery is not None and self._nursery.is_warm()
+
     def wait_ready(self) -> None:
         """Fork the nodes once the nursery is warm, and wait until every link is up.
 

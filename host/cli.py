@@ -26,6 +26,8 @@ from raygrid.host.cli_types import Fault, Frames, Number, Pair, Shape, debug_opt
 DEBUG = "RAYGRID_DEBUG"
 # Of what a command imports nearly all stays: looking it through for cycles as often as by default takes a sixth of the time.
 FEWER_LOOKS = (50_000, 20, 100)
+# numpy's threads would wait in a busy loop, beside the nodes, for matrices that are too small for them
+ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 EXAMPLES = """\b
 Examples:
@@ -338,6 +340,8 @@ def main(argv: list[str] | None = None) -> None:
     if argv is not None:
         raise SystemExit(_run(arguments))
     gc.set_threshold(*FEWER_LOOKS)
+    for name in ONE_THREAD:
+        os.environ.setdefault(name, "1")
     code = _run(arguments)
     _leave(code)
     raise SystemExit(code)

@@ -113,12 +113,12 @@ def _render(request: Request, talk: Talk, begun: float, probing: Probing | None)
         job = _read_job(request, talk, array.wait_warm)
         read = time.perf_counter()
         talk.phase(f"launching {shape[0] * shape[1] * shape[2]} processors")
-        # imported before the nursery is waited for
         from raygrid.host.job import samples_expected
         from raygrid.host.picture import prepare
         from raygrid.host.steady import render_steadily
 
-        prepare(request.outputs)
+        if not array.is_warm():
+            prepare(request.outputs)
         array.wait_ready()
         ready = time.perf_counter()
         talk.expect(samples_expected(job))
@@ -172,8 +172,11 @@ def program_of(request: Request) -> Program | None:
 
 
 def _read_job(request: Request, talk: Talk, wait_warm: Callable[[], None]) -> Job:
-    from raygrid.host.job import Settings, make_job
+    from raygrid.host.hidden import hidden
     from raygrid.host.load import load_scene
+
+    with hidden("scipy"):
+        from raygrid.host.job import Settings, make_job
 
     scene = load_scene(request.scene)
     for remark in scene.remarks:

@@ -20,6 +20,7 @@ parts of kernels, and are never loaded.
 from __future__ import annotations
 
 import functools
+import importlib
 import inspect
 import re
 from collections import Counter
@@ -47,13 +48,21 @@ _KNOWN: tuple[tuple[str, str, str, set[str] | None], ...] = (
         {"refresh", "_guard_against_spurious_io_errors", "_load_overload"},
     ),
     ("Cache", "_load_overload", "self sig target_context", None),
+    ("CompileResultCacheImpl", "get_filename_base", "self fullname abiflags", None),
     ("CompileResultCacheImpl", "reduce", "self cres", {"_reduce"}),
     ("CompileResultCacheImpl", "rebuild", "self target_context payload", {"compiler", "CompileResult", "_rebuild"}),
 )
-_UNSERIALIZE = set(
-    "create_library isinstance ll parse_bitcode _final_module _finalize_final_module enable_object_caching "
-    "_set_compiled_object _shared_module _codegen _engine _load_defined_symbols ValueError".split()
-)
+_UNSERIALIZE = {
+    *("create_library", "isinstance", "ll", "parse_bitcode", "_final_module", "_finalize_final_module", "_codegen"),
+    *(
+        "enable_object_caching",
+        "_set_compiled_object",
+        "_shared_module",
+        "_engine",
+        "_load_defined_symbols",
+        "ValueError",
+    ),
+}
 _REBUILD = "cls target_context libdata fndesc env signature objectmode lifted typeann reload_init referenced_envs"
 _ENVIRONMENT = re.compile(r'@"?(_ZN08NumbaEnv[^"\s,()]*)')
 
@@ -83,9 +92,7 @@ def _parameters(function: Any) -> str:
 @functools.cache
 def _have_runtime() -> bool:
     """Make known to the linker what numba's runtime offers to machine code, as `rtsys.initialize` does."""
-    from numba.core.runtime import _nrt_python
-
-    helpers: dict[str, int] = _nrt_python.c_helpers
+    helpers: dict[str, int] = importlib.import_module("numba.core.runtime._nrt_python").c_helpers
     for name, address in helpers.items():
         binding.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
     return bool(helpers)
@@ -115,7 +122,10 @@ def used_environments(library: Any, environments: Sequence[Any]) -> tuple[Any, .
 if can_load_alone():
 
     class _Payload(caching.CompileResultCacheImpl):  # type: ignore[misc]
-        """What is kept of a kernel: its names, and what numba keeps."""
+        """What is kept of a kernel: its names, and what numba keeps; in files that numba alone does not read."""
+
+        def get_filename_base(self, fullname: str, abiflags: str) -> str:
+            return f"alone-{super().get_filename_base(fullname, abiflags)}"
 
         def reduce(self, cres: Any) -> tuple[Names, Any]:
             *kept, environments = super().reduce(cres)
