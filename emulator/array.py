@@ -12,7 +12,7 @@ second to import, because it brings in numba, is imported only then: the nursery
 from __future__ import annotations
 
 import contextlib
-import secrets
+import os
 import select
 import time
 from collections.abc import Callable
@@ -220,7 +220,7 @@ class Array:
         self._stopped_since.clear()
         first = not self._crew.pids
         self.epoch = (self.epoch + 1) & LAST_EPOCH  # after the last one nodes refuse the first, and are forked anew
-        machine = secrets.token_hex(8)
+        machine = os.urandom(8).hex()
         for corner, index in corners(self.shape).items():
             pair = Pair(self._context, host_endpoint(self._place.path, self.epoch, index), bind=True)
             self._pairs[corner] = pair

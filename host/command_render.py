@@ -22,7 +22,7 @@ from raygrid.host.progress import Talk
 
 if TYPE_CHECKING:
     from raygrid.host.job import Job
-    from raygrid.host.picture import Picture
+    from raygrid.host.picture import Ahead, Picture
     from raygrid.host.probing import Probing
     from raygrid.node.faulty import FaultPlan
     from raygrid.node.programs import Program
@@ -83,10 +83,10 @@ def run_render(request: Request) -> None:
         _prices(request.cost, request.search)
     _check_outputs(request)
     with Talk(request.quiet) as talk, _probing(request) as probing:
-        picture = _render(request, talk, begun, probing)
+        picture, encoding = _render(request, talk, begun, probing)
         for output in request.outputs:
             talk.phase(f"writing {output}")
-            picture.save(output, request.transfer)
+            encoding.save(output)
         seconds = picture.stats["wall_seconds"]
         seconds["whole"] = round(time.perf_counter() - begun, 6)
         if request.stats is not None:
@@ -105,7 +105,7 @@ def run_render(request: Request) -> None:
         write_result(output)
 
 
-def _render(request: Request, talk: Talk, begun: float, probing: Probing | None) -> Picture:
+def _render(request: Request, talk: Talk, begun: float, probing: Probing | None) -> tuple[Picture, Ahead]:
     shape = request.shape
     with launching(request, talk) as array:
         array.begin()
@@ -114,7 +114,7 @@ def _render(request: Request, talk: Talk, begun: float, probing: Probing | None)
         read = time.perf_counter()
         talk.phase(f"launching {shape[0] * shape[1] * shape[2]} processors")
         from raygrid.host.job import samples_expected
-        from raygrid.host.picture import prepare
+        from raygrid.host.picture import Ahead, prepare
         from raygrid.host.steady import render_steadily
 
         if not array.is_warm():
@@ -135,7 +135,8 @@ def _render(request: Request, talk: Talk, begun: float, probing: Probing | None)
         )
         picture.stats["wall_seconds"] |= {"read": round(read - begun, 6), "launch": round(ready - read, 6)}
         talk.phase("ending the processors")
-    return picture
+        encoding = Ahead(picture, request.outputs, request.transfer)
+    return picture, encoding
 
 
 def _prices(name: str, search: str | None) -> dict[str, Any]:
