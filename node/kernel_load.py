@@ -22,6 +22,7 @@ from __future__ import annotations
 import functools
 import importlib
 import inspect
+import os
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -196,13 +197,15 @@ class LazyCache:
     @functools.cached_property
     def _cache(self) -> Any:
         with in_directory(self._directory):
-            return (_Alone if can_load_alone() else caching.FunctionCache)(self._function)
+            try:
+                return (_Alone if can_load_alone() else caching.FunctionCache)(self._function)
+            except RuntimeError:  # nothing can be written anywhere: compiled anew in each process
+                return caching.NullCache()
 
     @property
     def cache_path(self) -> str:
-        """Where its files are."""
-        path: str = self._cache.cache_path
-        return path
+        """Where its files are; where none can be, if there are none."""
+        return self._cache.cache_path or os.devnull
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled function for these types, None if it is not on disk."""

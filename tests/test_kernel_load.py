@@ -179,6 +179,20 @@ def test_runtime_statistics_are_left_to_numba(run):
     assert run(NUMBA_NRT_STATS="1")["ready"] > 0
 
 
+def test_without_a_directory_of_ours_numba_chooses_one(run):
+    nowhere = f"{os.devnull}/kernels"
+    assert run(RAYGRID_CACHE=nowhere)["compiled"]
+    assert run(RAYGRID_CACHE=nowhere) == {"result": WANTED, "ready": 0, "compiled": []}
+
+
+def test_where_nothing_can_be_kept_everything_is_compiled_anew(run):
+    before = "from numba.core.caching import CacheImpl\nCacheImpl._locator_classes = []"
+    for _ in range(2):
+        again = run(f"{BOTH}, small.total.stats.cache_path", before)
+        assert again["result"] == [*WANTED, os.devnull]
+        assert again["compiled"] == ["double", "doubled", "total"]
+
+
 def test_bounds_are_checked_if_asked_for(run):
     before = """
 def told(values):
