@@ -43,7 +43,7 @@ def measure(runs: int, shapes: tuple[str, ...]) -> Section:
         table.add(row, spread(one.phase(phase) for one in results["raygrid render"]), tiny)
     table.add("- ending the processes and writing the picture", spread(map(_rest, results["raygrid render"])), tiny)
     section.expect("`raygrid --help`, seconds", helping.median, 0.3, at_most=True)
-    section.expect("`raygrid render scenes/tiny.nff`, shell to picture, seconds", whole.median, 1.8, at_most=True)
+    section.expect("`raygrid render scenes/tiny.nff`, shell to picture, seconds", whole.median, 1.2, at_most=True)
     _ready(section, table, runs, shapes)
     return section
 

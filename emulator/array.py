@@ -12,13 +12,12 @@ second to import, because it brings in numba, is imported only then: the nursery
 from __future__ import annotations
 
 import contextlib
-import secrets
+import os
+import select
 import time
 from collections.abc import Callable
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
-
-import zmq
 
 from raygrid.node.errors import ArrayError, LostProcess, ProtocolError, RaygridError, Stuck
 
@@ -27,6 +26,8 @@ from .limits import check_fits
 from .places import LAST_EPOCH, Index, Place, host_endpoint
 
 if TYPE_CHECKING:
+    import zmq
+
     from raygrid.node.faulty import FaultPlan
     from raygrid.node.pair import Pair
 
@@ -97,7 +98,7 @@ class Array:
         self._place: Place | None = None
         self._context: zmq.Context[Any] | None = None
         self._pairs: dict[int, Pair] = {}
-        self._poller = zmq.Poller()
+        self._poller: zmq.Poller | None = None  # of an epoch
         self._driver: Driver | None = None
         self._begun = self._closing = False
         self._lost: RaygridError | None = None
@@ -145,13 +146,20 @@ class Array:
             raise ArrayError("the array has not begun")
         self._nursery.wait_warm(WARM_SECONDS)
 
+    def is_warm(self) -> bool:
+        """Whether nodes could be forked at once. Raises ArrayError if the nursery has failed."""
+        return self._nursery is not None and self._nursery.is_warm()
+
     def wait_ready(self) -> None:
         """Fork the nodes once the nursery is warm, and wait until every link is up.
 
         Raises LostProcess, Stuck or ProtocolError if that fails several times, ArrayError if nodes cannot be forked.
         """
+        import_links()
         self.wait_warm()
         assert self._nursery is not None
+        import zmq
+
         from .crew import Crew
 
         self._crew = Crew(self._nursery)
@@ -184,6 +192,8 @@ class Array:
 
     def _begin_epochs(self) -> None:
         """Begin an epoch, and another if that goes wrong. Raises as the last one did."""
+        import zmq
+
         for left in reversed(range(TRIES)):
             try:
                 self._begin_epoch()
@@ -196,6 +206,8 @@ class Array:
 
     def _begin_epoch(self) -> None:
         """Drop the links, bring all nodes to the next epoch, and wait until all links are up."""
+        import zmq
+
         from raygrid.node.flood import corners
         from raygrid.node.pair import Pair
 
@@ -207,15 +219,16 @@ class Array:
         assert self._place is not None
         assert self._context is not None
         self._hang_up()
+        self._poller = poller = zmq.Poller()
         self._lost = None
         self._stopped_since.clear()
         first = not self._crew.pids
         self.epoch = (self.epoch + 1) & LAST_EPOCH  # after the last one nodes refuse the first, and are forked anew
-        machine = secrets.token_hex(8)
+        machine = os.urandom(8).hex()
         for corner, index in corners(self.shape).items():
             pair = Pair(self._context, host_endpoint(self._place.path, self.epoch, index), bind=True)
             self._pairs[corner] = pair
-            self._poller.register(pair.socket, zmq.POLLIN)
+            poller.register(pair.socket, zmq.POLLIN)
         told = {"batch": self.batch, "fault": self.fault, "programs": self.programs}
         told |= {"profile": self.profile, "timed": self.timed}
         forked = self._crew.begin(node_configs(self.shape, self._place.path, self.epoch, machine, **told))
@@ -223,7 +236,7 @@ class Array:
         self.lost_nodes += map(_told, self._crew.lost)
         self._crew.lost.clear()
         for descriptor in self._crew.filenos():
-            self._poller.register(descriptor, zmq.POLLIN)
+            poller.register(descriptor, zmq.POLLIN)
         links = host_links(self.shape, self._pairs, machine, self.epoch)
         patience = PATIENCE if self.patience is None else self.patience
         ready = READY_SECONDS + READY_SECONDS_A_NODE * len(self.pids)
@@ -237,7 +250,7 @@ class Array:
     def _hang_up(self) -> None:
         """Close the host's ends of the links."""
         self._driver = None
-        self._poller = zmq.Poller()
+        self._poller = None
         for pair in self._pairs.values():
             pair.close()
         self._pairs = {}
@@ -257,7 +270,7 @@ class Array:
         self._tell_rate()
 
     def _tell_rate(self) -> None:
-        if self._crew is None or self._driver is None:  # told when the array is ready
+        if self._crew is None or self._driver is None or self._poller is None:  # told when the array is ready
             return
         for index in self._crew.pids:
             self._crew.lines.send(index, {"do": "probe", "rate": self._rate})
@@ -265,7 +278,7 @@ class Array:
             with contextlib.suppress(KeyError):
                 self._poller.unregister(self._crew.lines.fileno())
         else:
-            self._poller.register(self._crew.lines.fileno(), zmq.POLLIN)
+            self._poller.register(self._crew.lines.fileno(), select.POLLIN)
 
     def check(self) -> None:
         """Look after an array that nobody waits for: take in what has come, and look at the processes.
@@ -282,7 +295,8 @@ class Array:
         if self.on_wait is not None and not self._closing:
             self.on_wait()
         corner_of = {pair.socket: corner for corner, pair in self._pairs.items()}
-        found = self._poller.poll(int(min(seconds, LISTEN_SECONDS if self._rate else seconds) * 1000))
+        milliseconds = int(min(seconds, LISTEN_SECONDS if self._rate else seconds) * 1000)
+        found = [] if self._poller is None else self._poller.poll(milliseconds)
         try:
             if self._rate and time.monotonic() - self._heard >= LISTEN_SECONDS:
                 self._hear()
@@ -391,6 +405,15 @@ class Array:
 
 def _told(event: Ended) -> str:
     return f"node {_name(event.index)} (pid {event.pid}) ended: {event.why}"
+
+
+def import_links() -> None:
+    """Import what an array needs once its nursery is warm; it costs nothing beside the warming."""
+    import zmq  # noqa: F401
+
+    from raygrid.node import flood, pair  # noqa: F401
+
+    from . import crew, driver, topology, wiring  # noqa: F401
 
 
 def _name(index: Index) -> str:

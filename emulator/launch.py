@@ -184,6 +184,13 @@ class Nursery:
         """Wait until nodes can be launched. Raises ArrayError if it fails, or takes more than `timeout` seconds."""
         self._wait(lambda: self.warm, timeout, "become warm")
 
+    def is_warm(self) -> bool:
+        """Whether nodes can be launched, by what has come so far. Raises ArrayError if the nursery has failed."""
+        self._check_alive()
+        if not self.warm:
+            self._attend(0.0)
+        return self.warm
+
     def launch(self, configs: Sequence[Message], timeout: float = 60.0) -> list[int]:
         """Fork a node for each config; returns their process ids, in the same order.
 

@@ -284,10 +284,15 @@ def end_if_orphaned(control: socket.socket, directory: str | None) -> None:
 def warm_up(control: Control, program: str, warm: str, directory: str | None = None) -> Run:
     """Import the node program and warm it, with a report a step; returns its `run`."""
     end_if_orphaned(control.socket, directory)
+    gc.disable()  # of what is imported and loaded nearly all stays, and looking it through takes a sixth of the time
+    # numba would import it, if it is installed, for its linear algebra; kernels and programs have none.
+    sys.modules.setdefault("scipy", None)  # type: ignore[arg-type]
     run: Run = importlib.import_module(program).run
     module, _, function = warm.partition(":")
 
     def report(done: int, total: int, what: str) -> None:
+        if done:
+            gc.enable()  # but compiling leaves much behind
         control.send({"is": "warming", "done": done, "total": total, "what": what})
 
     getattr(importlib.import_module(module), function)(report)
@@ -296,8 +301,10 @@ def warm_up(control: Control, program: str, warm: str, directory: str | None = N
     tasks = len(os.listdir("/proc/self/task"))
     if tasks > 1:
         say("raygrid nursery", RaygridError(f"warming left {tasks} threads, wanted 1: forks may hang"))
-    gc.collect()
+    if gc.isenabled():
+        gc.collect()
     gc.freeze()  # or the first collection in each node would write to, and so copy, all that is shared
+    gc.enable()
     control.send({"is": "warm"})
     return run
 

@@ -14,7 +14,6 @@ from __future__ import annotations
 import atexit
 import os
 import re
-import secrets
 import shutil
 import stat
 import tempfile
@@ -247,7 +246,7 @@ def _unsafe(base: str, status: os.stat_result) -> str | None:
 
 
 def _fresh_name() -> str:
-    return PREFIX + secrets.token_hex(NAME_BYTES)
+    return PREFIX + os.urandom(NAME_BYTES).hex()
 
 
 def _make(base: str) -> str:

@@ -30,8 +30,8 @@ SLICES = 4096  # resolution of a measure along an axis
 SPACE_SHARE = 0.1  # of every measure, spread evenly over the world box: empty space is walked too
 GRID = 48  # planes to choose from on an axis
 MOST_CELLS = 16  # on an axis, for which planes are searched
-# Fewer primary and first shadow rays are traced in less time than a pilot costs a process that has just started: 0.05 s
-# and 0.4 s of processor time to import and load what it needs, most of it while the nursery does the same beside it.
+# Fewer primary and first shadow rays are traced in less time than a pilot costs a process that has just started: 0.03 s
+# and 0.05 s to load its kernels, part of it while the nursery warms up beside it.
 WORTHWHILE = 1 << 18
 
 

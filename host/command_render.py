@@ -22,7 +22,7 @@ from raygrid.host.progress import Talk
 
 if TYPE_CHECKING:
     from raygrid.host.job import Job
-    from raygrid.host.picture import Picture
+    from raygrid.host.picture import Ahead, Picture
     from raygrid.host.probing import Probing
     from raygrid.node.faulty import FaultPlan
     from raygrid.node.programs import Program
@@ -83,10 +83,10 @@ def run_render(request: Request) -> None:
         _prices(request.cost, request.search)
     _check_outputs(request)
     with Talk(request.quiet) as talk, _probing(request) as probing:
-        picture = _render(request, talk, begun, probing)
+        picture, encoding = _render(request, talk, begun, probing)
         for output in request.outputs:
             talk.phase(f"writing {output}")
-            picture.save(output, request.transfer)
+            encoding.save(output)
         seconds = picture.stats["wall_seconds"]
         seconds["whole"] = round(time.perf_counter() - begun, 6)
         if request.stats is not None:
@@ -105,7 +105,7 @@ def run_render(request: Request) -> None:
         write_result(output)
 
 
-def _render(request: Request, talk: Talk, begun: float, probing: Probing | None) -> Picture:
+def _render(request: Request, talk: Talk, begun: float, probing: Probing | None) -> tuple[Picture, Ahead]:
     shape = request.shape
     with launching(request, talk) as array:
         array.begin()
@@ -113,12 +113,14 @@ def _render(request: Request, talk: Talk, begun: float, probing: Probing | None)
         job = _read_job(request, talk, array.wait_warm)
         read = time.perf_counter()
         talk.phase(f"launching {shape[0] * shape[1] * shape[2]} processors")
-        array.wait_ready()
-        ready = time.perf_counter()
-
         from raygrid.host.job import samples_expected
+        from raygrid.host.picture import Ahead, prepare
         from raygrid.host.steady import render_steadily
 
+        if not array.is_warm():
+            prepare(request.outputs)
+        array.wait_ready()
+        ready = time.perf_counter()
         talk.expect(samples_expected(job))
         if probing is not None:
             array.probe(request.probe_rate, probing.take)
@@ -133,7 +135,8 @@ def _render(request: Request, talk: Talk, begun: float, probing: Probing | None)
         )
         picture.stats["wall_seconds"] |= {"read": round(read - begun, 6), "launch": round(ready - read, 6)}
         talk.phase("ending the processors")
-    return picture
+        encoding = Ahead(picture, request.outputs, request.transfer)
+    return picture, encoding
 
 
 def _prices(name: str, search: str | None) -> dict[str, Any]:
@@ -170,8 +173,11 @@ def program_of(request: Request) -> Program | None:
 
 
 def _read_job(request: Request, talk: Talk, wait_warm: Callable[[], None]) -> Job:
-    from raygrid.host.job import Settings, make_job
+    from raygrid.host.hidden import hidden
     from raygrid.host.load import load_scene
+
+    with hidden("scipy"):
+        from raygrid.host.job import Settings, make_job
 
     scene = load_scene(request.scene)
     for remark in scene.remarks:

@@ -5,9 +5,12 @@ from __future__ import annotations
 import os
 from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from raygrid.host.scene import Scene
 from raygrid.node.errors import ArrayError, SceneError
+
+if TYPE_CHECKING:
+    from raygrid.host.scene import Scene
 
 # Suffix: module and function. Imported when needed: the readers of some formats bring in large libraries.
 READERS = {

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import secrets
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
@@ -87,7 +86,7 @@ def check_different(scene: str, outputs: Sequence[str]) -> None:
         taken[place] = f"the output {output}"
 
 
-def write_whole(path: str | Path, write: Callable[[BinaryIO], None]) -> None:
+def write_whole(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
     """Write a file so that it appears whole or not at all; a link is followed, a device is simply written to.
 
     Raises OutputError if it cannot be written, and lets what `write` raises pass; neither leaves anything behind.
@@ -98,7 +97,7 @@ def write_whole(path: str | Path, write: Callable[[BinaryIO], None]) -> None:
             with open(target, "wb") as file:
                 write(file)
             return
-        part = os.path.join(os.path.dirname(target), f".raygrid-{secrets.token_hex(6)}")
+        part = os.path.join(os.path.dirname(target), f".raygrid-{os.urandom(6).hex()}")
         try:
             with open(part, "xb") as file:
                 write(file)

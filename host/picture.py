@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+import io
+import threading
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -15,6 +18,7 @@ from raygrid.node.errors import OutputError
 from raygrid.node.pixels import UNIT
 
 TRANSFERS = ("srgb", "linear")
+MOST_AHEAD = 1 << 22  # pixels of a picture that is encoded in memory
 BLOCK = 1 << 20  # pixels that are turned into bytes at a time
 
 
@@ -63,20 +67,66 @@ class Picture:
         check_picture_path(path)
         if Path(path).suffix.lower() == SUMS:
             write_whole(path, self._write_sums)
-            return
+        else:
+            write_whole(path, self._encoder(path, transfer, texts))
+
+    def encoded(self, path: str | Path, transfer: str = "srgb") -> memoryview:
+        """What `save` writes to a picture of this name. Raises OutputError."""
+        file = io.BytesIO()
+        self._encoder(path, transfer, None)(file)
+        return file.getbuffer()
+
+    def _encoder(self, path: str | Path, transfer: str, texts: Mapping[str, str] | None) -> Callable[[BinaryIO], None]:
         from PIL import Image
 
         check_side(path, self.sums.shape[1], self.sums.shape[0])
         kind = FORMATS[Path(path).suffix.lower()]
         image = Image.fromarray(self.bytes(transfer))
         options = kind.options | ({"pnginfo": _png_texts(texts)} if texts and kind.name == "PNG" else {})
-        write_whole(path, lambda file: image.save(file, kind.name, **options))
+        return lambda file: image.save(file, kind.name, **options)
 
     def _write_sums(self, file: BinaryIO) -> None:
         """What np.save writes, but in its own words an error of the disk would say nothing of it."""
         sums = np.ascontiguousarray(self.sums)
         np.lib.format.write_array_header_1_0(file, np.lib.format.header_data_from_array_1_0(sums))
         file.write(sums.data)
+
+
+class Ahead:
+    """Encodes a picture for some files in a thread of its own, while the caller waits for something else; `save` then
+    writes it. What is large, or goes wrong, is left to `Picture.save`, and so are its errors."""
+
+    def __init__(self, picture: Picture, paths: Sequence[str], transfer: str) -> None:
+        self._picture, self._transfer = picture, transfer
+        self._encoded: dict[str, memoryview] = {}
+        small = picture.sums.size <= 3 * MOST_AHEAD
+        self._paths = [path for path in paths if small and Path(path).suffix.lower() in FORMATS]
+        self._thread = threading.Thread(target=self._encode, name="encoding", daemon=True)
+        if self._paths:
+            self._thread.start()
+
+    def _encode(self) -> None:
+        with contextlib.suppress(Exception):
+            for path in self._paths:
+                self._encoded[path] = self._picture.encoded(path, self._transfer)
+
+    def save(self, path: str) -> None:
+        """Write one of the files. Raises OutputError."""
+        if self._paths:
+            self._thread.join()
+        encoded = self._encoded.get(path)
+        if encoded is None:
+            self._picture.save(path, self._transfer)
+        else:
+            write_whole(path, lambda file: file.write(encoded))
+
+
+def prepare(paths: Sequence[str | Path]) -> None:
+    """Import what writing these files needs, while there is time for it."""
+    if any(Path(path).suffix.lower() in FORMATS for path in paths):
+        from PIL import Image
+
+        Image.preinit()
 
 
 def _png_texts(texts: Mapping[str, str]) -> Any:

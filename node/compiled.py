@@ -23,17 +23,23 @@ from typing import Any, cast
 
 from numba import njit
 
-from .kernel_cache import in_directory
+from . import kernel_cache
+from .kernel_load import LazyCache
 
 Function = Callable[..., Any]  # annotations inside kernels would never be checked, so they have none
 
-_COUNTING: dict[str, Any] = {"cache": True, "error_model": "numpy", "fastmath": False}
+_COUNTING: dict[str, Any] = {"error_model": "numpy", "fastmath": False}
 _LEAN: dict[str, Any] = {**_COUNTING, "_nrt": False}
 
 
 def _compiled(function: Function, **options: Any) -> Function:
-    with in_directory():
-        return cast(Function, njit(**options)(function))
+    dispatcher: Any = njit(**options)(function)
+    if hasattr(dispatcher, "_cache"):
+        dispatcher._cache = LazyCache(function, kernel_cache.DIRECTORY)
+    elif hasattr(dispatcher, "enable_caching"):  # another numba; without a compiler (NUMBA_DISABLE_JIT) it has neither
+        with kernel_cache.in_directory(kernel_cache.DIRECTORY):
+            dispatcher.enable_caching()
+    return cast(Function, dispatcher)
 
 
 def kernel(function: Function) -> Function:

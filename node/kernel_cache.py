@@ -65,7 +65,9 @@ def _directory() -> str | None:
         return None
 
 
-DIRECTORY = _directory()
+DirectoryName = str | None  # None: numba chooses
+
+DIRECTORY: DirectoryName = _directory()
 
 
 @contextlib.contextmanager
@@ -85,11 +87,11 @@ def apart(name: str) -> Iterator[str]:
 
 
 @contextlib.contextmanager
-def in_directory() -> Iterator[None]:
-    """Functions decorated within are cached in DIRECTORY; numba's setting for everybody else stays as it was."""
+def in_directory(directory: DirectoryName) -> Iterator[None]:
+    """Caches made within are in this directory; numba's setting for everybody else stays as it was."""
     before = config.CACHE_DIR
-    if DIRECTORY is not None:
-        config.CACHE_DIR = DIRECTORY
+    if directory is not None:
+        config.CACHE_DIR = directory
     try:
         yield
     finally:

@@ -51,6 +51,7 @@ def test_the_check_sees_a_wrong_import(tmp_path):
     [
         ("import raygrid", {"numpy", "numba", "zmq", "trimesh", "pydantic", "raygrid.host"}),
         ("import raygrid.host.cli", {"numpy", "numba", "zmq", "trimesh", "pydantic", "PIL"}),
+        ("import raygrid.host.command_render", {"numpy", "numba", "zmq", "trimesh", "pydantic", "PIL"}),
         ("import raygrid.emulator.nursery", {"raygrid.host", "trimesh", "pydantic", "PIL"}),
     ],
 )
@@ -58,6 +59,26 @@ def test_nothing_heavy_is_imported_unasked(program, absent):
     look = f"{program}\nimport sys\nprint(*sys.modules)"
     run = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True, timeout=60)
     assert not absent & set(run.stdout.split())
+
+
+def test_the_nursery_is_started_before_anything_heavy_is_imported():
+    look = """
+import sys
+from raygrid.emulator.array import Array
+from raygrid.emulator.launch import Nursery
+
+def start(**options):
+    print("imported:", *sys.modules)
+    raise SystemExit(0)
+
+Nursery.start = start
+from raygrid.host.cli import cli
+cli.main(["render", "scenes/tiny.nff", "-o", "-.png", "-q"], standalone_mode=False)
+"""
+    run = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, timeout=60, cwd=ROOT)
+    imported = run.stdout.rpartition("imported:")[2]
+    assert imported, run.stderr
+    assert not {"numpy", "numba", "zmq", "PIL", "pydantic", "msgpack.fallback"} & set(imported.split())
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["render", "--help"], ["info", "--help"], ["--version"]])
