@@ -162,7 +162,7 @@ def _serve(
                 return order
             if ready == life or line.closed:
                 return None
-        processor.work(wait=not probe.wanted)
+        processor.work(wait=not (probe.wanted or faults))
         if probe.wanted:
             probe.maybe_speak(processor, config["epoch"])
     poller.unregister(line.fileno())

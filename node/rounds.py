@@ -263,7 +263,7 @@ def go(cell, space, frame, surfaces, pixels, cursor, quota, pace, bounds, stacks
                     return quota, SEND
                 if drowsy:
                     naps -= 1
-                elif pace[WAIT] == 0 or not _wait(wires):
+                elif pace[WAIT] == 0 or not wired or not _wait(wires):
                     return quota, IDLE
                 if pace[LEAST] > 0:
                     call_int(wires.calls[native.SLEEP], (np.int64(NAP),))
