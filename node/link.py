@@ -91,7 +91,7 @@ class Link:
         self.channel = channel
         self.name = name
         self.epoch = epoch
-        self._book = memoryview(np.zeros(BOOK, np.int64))
+        self._book = np.zeros(BOOK, np.int64).data
         self.state = State.NEW
         self._identity = {**identity, "version": VERSION}
         self._peer = {**peer, "version": VERSION}
@@ -308,7 +308,7 @@ class Link:
     def keep_book(self, row: NDArray[np.int64]) -> None:
         """Keep the book in this row, int64 (BOOK,), from now on."""
         row[:] = self._book
-        self._book = memoryview(row)
+        self._book = row.data
 
     @property
     def regular(self) -> bool:

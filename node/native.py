@@ -5,9 +5,13 @@ can be kept on disk. Who has no such functions (another build of pyzmq or xxhash
 served by Python alone: slower, and the same in all else.
 """
 
+# mypy: disallow-untyped-calls=False
+# numba's helpers have no types
+
 from __future__ import annotations
 
 import ctypes
+import importlib
 import sys
 from collections.abc import Iterable
 from typing import Any
@@ -43,19 +47,20 @@ def _address_of(library: ctypes.CDLL, name: str) -> int:
     return int(ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0)
 
 
+def _library_of(module: str) -> ctypes.CDLL:
+    return ctypes.CDLL(importlib.import_module(module).__file__)
+
+
 def find_functions() -> NDArray[np.int64] | None:
     """The table of addresses, int64 (ADDRESSES,), without a message and a clock yet; None if one cannot be found."""
     table = np.zeros(ADDRESSES, np.int64)
     if sys.byteorder != "little":  # of `poll_items`
         return None
     try:
-        import xxhash._xxhash as of_checksum
-        from zmq.backend.cython import _zmq as of_zeromq
-
-        library = ctypes.CDLL(of_zeromq.__file__)  # a name is looked for in what it was linked with, too
+        library = _library_of("zmq.backend.cython._zmq")  # a name is looked for in what it was linked with, too
         for place, name in _FROM_ZEROMQ.items():
             table[place] = _address_of(library, name)
-        library = ctypes.CDLL(of_checksum.__file__)
+        library = _library_of("xxhash._xxhash")
         names = [name for name in _CHECKSUMS if hasattr(library, name)]
         table[CHECKSUM] = _address_of(library, names[0])
         table[SLEEP] = _address_of(ctypes.CDLL(None), _SLEEP)

@@ -141,8 +141,6 @@ class Profile:
         served = time.thread_time()
         why = self._serve(wait)
         whole = time.thread_time() - served
-        self.whys = getattr(self, "whys", {})
-        self.whys[why] = self.whys.get(why, 0) + 1
         receiving, turning, sending = (spent[:3] * 1e-9).tolist()
         self._seconds["receive"] += receiving
         self._seconds["send"] += sending
@@ -187,8 +185,6 @@ class Profile:
     def record(self) -> dict[str, Any]:
         """The processor's record with `profile`: seconds by part."""
         record = self._record()
-        record["calls"] = self._calls
-        record["whys"] = {str(k): v for k, v in self.whys.items()}
         record["profile"] = {part: round(seconds, 6) for part, seconds in self.seconds().items()}
         return record
 

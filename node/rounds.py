@@ -88,15 +88,15 @@ def _checksum(wires, first, size):
 
 
 @part
-def _post(wires, book, kind, count, bytes, at, size):
+def _post(wires, book, kind, count, raw, at, size):
     """Write the header of a message of `size` bytes that begins at `at`, and send it; whether it went."""
-    bytes[at], bytes[at + 1] = kind, 0
-    write(bytes, at + 2, book[EPOCH], 2)
-    write(bytes, at + 4, book[SENT], 4)
-    write(bytes, at + 8, book[DATA_DONE], 4)
-    write(bytes, at + 12, count, 4)
-    first = address(bytes, np.int64(at))
-    write(bytes, at + SUMMED, _checksum(wires, first, size), 4)
+    raw[at], raw[at + 1] = kind, 0
+    write(raw, at + 2, book[EPOCH], 2)
+    write(raw, at + 4, book[SENT], 4)
+    write(raw, at + 8, book[DATA_DONE], 4)
+    write(raw, at + 12, count, 4)
+    first = address(raw, np.int64(at))
+    write(raw, at + SUMMED, _checksum(wires, first, size), 4)
     if call_int(wires.calls[native.SEND], (book[SOCKET], first, size, np.int64(DONTWAIT))) < 0:
         return False
     book[SENT] += 1
@@ -110,29 +110,29 @@ def _post(wires, book, kind, count, bytes, at, size):
 
 
 @part
-def _is_regular(wires, book, bytes, first, size):
+def _is_regular(wires, book, raw, first, size):
     """Whether a message is one of packets or credit, in its turn, whole and believable."""
-    kind, count = np.int64(bytes[0]), read_u32(bytes, 12)
-    if (kind != _PACKETS and kind != _CREDIT) or bytes[1] != 0 or read_u16(bytes, 2) != book[EPOCH]:
+    kind, count = np.int64(raw[0]), read_u32(raw, 12)
+    if (kind != _PACKETS and kind != _CREDIT) or raw[1] != 0 or read_u16(raw, 2) != book[EPOCH]:
         return False
-    if read_u32(bytes, 4) != book[RECEIVED] & 0xFFFFFFFF or size != HEAD + count * SIZE:
+    if read_u32(raw, 4) != book[RECEIVED] & 0xFFFFFFFF or size != HEAD + count * SIZE:
         return False
     if (kind == _PACKETS) != (count > 0):
         return False
-    if (read_u32(bytes, 8) - book[CREDIT]) & 0xFFFFFFFF > book[DATA_SENT] - book[CREDIT]:
+    if (read_u32(raw, 8) - book[CREDIT]) & 0xFFFFFFFF > book[DATA_SENT] - book[CREDIT]:
         return False
-    return read_u32(bytes, SUMMED) == _checksum(wires, first, size)
+    return read_u32(raw, SUMMED) == _checksum(wires, first, size)
 
 
 @part
-def _take_in(bytes, count, port, bounds, stacks, held):
+def _take_in(raw, count, port, bounds, stacks, held):
     """Put all packets of a message on the stacks, or none if one is bad or there is no room; whether it was done."""
     if count > min(len(stacks.ray_ports) - held[RAYS], len(stacks.shadow_ports) - held[SHADOWS]):
         return False
     if count > len(stacks.traveller_ports) - held[TRAVELLERS]:
         return False
     before = (held[0], held[1], held[2], held[3])
-    _, bad = sort(bytes, count, port, bounds, stacks, held)
+    _, bad = sort(raw, count, port, bounds, stacks, held)
     if bad != 0:
         held[0], held[1], held[2], held[3] = before
     return bad == 0
@@ -149,14 +149,14 @@ def _receive(wires, port, bounds, stacks, held):
         first, size = call_long(calls[native.DATA], (message,)), call_long(calls[native.LENGTH], (message,))
         if size < HEAD or call_int(calls[native.MORE], (message,)) != 0:
             return False
-        bytes = bytes_at(first, size)
-        if not _is_regular(wires, book, bytes, first, size):
+        raw = bytes_at(first, size)
+        if not _is_regular(wires, book, raw, first, size):
             return False
-        count = read_u32(bytes, 12)
-        if count > 0 and not _take_in(bytes, count, port, bounds, stacks, held):
+        count = read_u32(raw, 12)
+        if count > 0 and not _take_in(raw, count, port, bounds, stacks, held):
             return False
         book[RECEIVED] += 1
-        book[CREDIT] += (read_u32(bytes, 8) - book[CREDIT]) & 0xFFFFFFFF
+        book[CREDIT] += (read_u32(raw, 8) - book[CREDIT]) & 0xFFFFFFFF
         if count > 0:
             book[DATA_DONE] += 1
             if book[DATA_DONE] - book[DATA_DONE_TOLD] >= WINDOW // 2:

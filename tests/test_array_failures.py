@@ -30,6 +30,7 @@ from raygrid.node.messages import HEADER, MessageKind
 from raygrid.node.packets import FAULTS, SIZE
 from raygrid.node.processor import SUMS
 from raygrid.node.step import HEAD
+from raygrid.node.turn import IDLE
 from raygrid.node.walk import HOST
 
 SIZE_OF_PICTURE = (24, 18)
@@ -125,7 +126,7 @@ def test_a_node_that_stops_working_is_named():
     array = hasty()
     load(array, NAME, scene())
     (lame,) = [processor for processor in array.processors if processor.index == where()[0]]
-    lame.tracer.work = lambda: None
+    lame.tracer.work = lambda wait: IDLE
     index = ",".join(map(str, lame.index))
     with pytest.raises(Stuck, match=rf"no counter moved for 0\.2 seconds .*; (.*; )?{index} holds \d+"):
         array.driver.trace(scene().frame)

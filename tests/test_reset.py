@@ -270,9 +270,10 @@ def test_messages_of_an_older_epoch_are_counted_and_dropped(array):
 def _order_of(link, order) -> bytes:
     sent = []
     channel, link.channel = link.channel, type("Taken", (), {"send": lambda self, raw: sent.append(raw) or True})()
-    numbers = link._sent, link.messages_sent, link.bytes_sent
+    book = link._book.tolist()
     link.send_order(MessageKind.DOWN, order)
-    link._sent, link.messages_sent, link.bytes_sent = numbers
+    for place, number in enumerate(book):
+        link._book[place] = number
     link.channel = channel
     return sent[0]
 
