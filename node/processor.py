@@ -41,7 +41,7 @@ from .messages import MessageKind, check_packets, pack_surfaces, read_order, rea
 from .orders import read_frame, read_space
 from .overlap import meets
 from .packets import FAULTS, PacketKind
-from .rounds import NAP
+from .rounds import NAPS
 from .surfaces import SURFACE_KINDS, AnyKind, Batch
 from .tables import BORN, BOXES, COUNTS, DIED, HITS, SENT, TESTS, WALKS
 from .tracer import FLUSH, Tracer
@@ -367,7 +367,7 @@ class Processor:
                 f"gather, linger and flush came as {gather!r}, {linger!r}, {flush!r}, wanted packets, seconds, packets"
             )
         tracer = self.tracer
-        tracer.gather, tracer.naps, tracer.flush = gather, int(linger * 1e6) // NAP, max(1, min(flush, self.batch))
+        tracer.gather, tracer.nap, tracer.flush = gather, int(linger * 1e6) // NAPS, max(1, min(flush, self.batch))
 
     def _maybe_answer(self) -> None:
         """Answer the wave once the children have and this node is ready to."""

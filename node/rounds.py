@@ -46,13 +46,13 @@ from .walk import HOST, PORTS
 # further reasons to end, after those of a turn
 SEND, OTHER = 4, 5  # Python has something to send; OTHER + port: a message for Python
 ROUNDS = 65536  # packets after which Python looks at orders, probes and the clock
-NAP = 500  # microseconds
+NAPS = 4  # that make up the time for which a node may linger
 DROWSY_FLUSH = 256  # packets for which an output is sent before a nap
 DONTWAIT = 1  # of ZeroMQ, part of its interface
 _PACKETS, _CREDIT = int(MessageKind.PACKETS), int(MessageKind.CREDIT)
 # places in Wires.spent and Pace
 RECEIVING, TURNING, SENDING = 0, 1, 2
-AFTER, BELOW, AT_ONCE, FLUSH, LEAST, NAPS, BATCH, WAIT = range(8)
+AFTER, BELOW, AT_ONCE, FLUSH, LEAST, NAP, BATCH, WAIT = range(8)
 
 
 class Wires(NamedTuple):
@@ -240,12 +240,13 @@ def go(cell, space, frame, surfaces, pixels, cursor, quota, pace, bounds, stacks
     """Go rounds until nothing is left to do, or for a reason above. Returns (quota left, why).
 
     pace    AFTER, BELOW, AT_ONCE: of `turn`; FLUSH: packets for which an output is sent while there is work;
-            LEAST: packets that are worth a turn; NAPS: so often the node sleeps for NAP before it takes one that is not;
+            LEAST: packets that are worth a turn; NAP: microseconds, for which a node sleeps NAPS times before it takes
+            one that is not;
             BATCH: most packets a message; WAIT: whether to wait where nothing is left to do, until something comes
     bounds  int64, the fields of `Limits`
     Without wires it is one turn. The other arguments are those of `turn`.
     """
-    served, naps, since, wired = 0, pace[NAPS], _clock(wires, -1, 0), False
+    served, naps, since, wired = 0, NAPS, _clock(wires, -1, 0), False
     for port in range(PORTS):
         wired = wired or wires.books[port, REGULAR] != 0
     while True:
@@ -265,10 +266,10 @@ def go(cell, space, frame, surfaces, pixels, cursor, quota, pace, bounds, stacks
                     naps -= 1
                 elif pace[WAIT] == 0 or not wired or not _wait(wires):
                     return quota, IDLE
-                if pace[LEAST] > 0:
-                    call_int(wires.calls[native.SLEEP], (np.int64(NAP),))
+                if pace[LEAST] > 0 and pace[NAP] > 0:
+                    call_int(wires.calls[native.SLEEP], (np.int64(pace[NAP]),))
                 continue
-        naps = pace[NAPS]
+        naps = NAPS
         quota, why, done = turn(
             cell, space, frame, surfaces, pixels, cursor, quota, pace, stacks, held, outputs, counts
         )

@@ -34,7 +34,7 @@ class Tracer:
     """State of one node between two messages.
 
     counts     int64, see `node.tables`: what the machine did for this frame
-    flush, gather, naps, batch  how eagerly it sends and takes turns (`rounds.go`)
+    flush, gather, nap, batch  how eagerly it sends and takes turns (`rounds.go`)
     quota      primaries that this node may still bear before it hears from the root again
     samples_left  whether primaries of this node are still to be born
     retained      descriptions of surfaces, of moving ones as they are at rest
@@ -53,7 +53,7 @@ class Tracer:
         self.ready: Compiled | None = None  # a program that is to be used next
         self._go = go
         self.wires = no_wires()
-        self.flush, self.gather, self.naps, self.batch = FLUSH, 0, 0, FLUSH
+        self.flush, self.gather, self.nap, self.batch = FLUSH, 0, 0, FLUSH
         self._stale = False  # whether what is retained has changed since the tables were made
         self._built_cost = 0.0  # expected cost of the hierarchy when it was built, 0: not worked out
         self.surfaces = empty_surfaces()
@@ -184,7 +184,7 @@ class Tracer:
             self.pixels,
             self.cursor,
             self.quota,
-            (TURN, ADMIT_BELOW, ADMIT_AT_ONCE, self.flush, self.gather, self.naps, self.batch, wait),
+            (TURN, ADMIT_BELOW, ADMIT_AT_ONCE, self.flush, self.gather, self.nap, self.batch, wait),
             backlog.bounds,
             backlog.stacks,
             backlog.count,
