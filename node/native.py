@@ -98,11 +98,18 @@ class Message:
         prototype = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)
         self._data = prototype(int(table[DATA]))
         self._length = ctypes.CFUNCTYPE(ctypes.c_size_t, ctypes.c_void_p)(int(table[LENGTH]))
-        ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)(int(table[INITIALIZE]))(self._place)
+        number = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)
+        self._more = number(int(table[MORE]))
+        number(int(table[INITIALIZE]))(self._place)
 
     def copy(self) -> bytes:
         """The bytes of the message that was received last."""
         return ctypes.string_at(self._data(self._place), self._length(self._place))
+
+    @property
+    def has_more(self) -> bool:
+        """Whether it is but a part of a message."""
+        return bool(self._more(self._place))
 
 
 _LONG, _INT = ir.IntType(64), ir.IntType(32)

@@ -21,7 +21,7 @@ class Pair:
 
     def __init__(self, context: zmq.Context[zmq.Socket[bytes]], endpoint: str, bind: bool) -> None:
         self.endpoint = endpoint
-        self._put_back: bytes | None = None
+        self._put_back: tuple[bytes, bool] | None = None
         self.socket = context.socket(zmq.PAIR)
         self.socket.setsockopt(zmq.LINGER, 0)
         self.socket.setsockopt(zmq.MAXMSGSIZE, MAX_MESSAGE)
@@ -49,18 +49,18 @@ class Pair:
     def receive(self) -> bytes | None:
         """The next message, or None. Raises ProtocolError for a message of several parts."""
         if self._put_back is not None:
-            message, self._put_back = self._put_back, None
-            return message
-        if not int(self.socket.getsockopt(EVENTS)) & POLLIN:  # cheaper than the exception that says so
+            (message, more), self._put_back = self._put_back, None
+        elif not int(self.socket.getsockopt(EVENTS)) & POLLIN:  # cheaper than the exception that says so
             return None
-        message = self.socket.recv(NOBLOCK)
-        if self.socket.getsockopt(RCVMORE):
+        else:
+            message, more = self.socket.recv(NOBLOCK), bool(self.socket.getsockopt(RCVMORE))
+        if more:
             raise ProtocolError(f"{self.endpoint}: a message of several parts came, wanted one")
         return message
 
-    def put_back(self, message: bytes) -> None:
-        """Let this message, which was received by other means, be the next one."""
-        self._put_back = message
+    def put_back(self, message: bytes, more: bool) -> None:
+        """Let this message, which was received by other means, be the next one; `more`: if it is but a part."""
+        self._put_back = message, more
 
     def close(self) -> None:
         """Close at once; the link has said its goodbyes."""

@@ -60,7 +60,7 @@ class Wired:
         if why < OTHER:
             return None
         port = why - OTHER
-        self._pairs[port].put_back(self._message.copy())
+        self._pairs[port].put_back(self._message.copy(), self._message.has_more)
         return port
 
     def serves(self, port: int) -> bool:
