@@ -47,9 +47,9 @@ CHUNK_BYTES = 1 << 16  # surfaces in a message
 BUDGET = 1 << 20  # packets in flight below which primaries are admitted, and so the most primaries alive (`bounds`)
 PATIENCE = 30.0  # seconds without any progress after which the array is taken to hang
 HOLD = 0.02  # seconds for which a busy node may hold a wave, and a millisecond more for every node
-# seconds that a node waits for more packets: so long for every node that a processor of this computer carries, at most
-LINGER, LONGEST_LINGER = 0.0012, 0.015
-GATHER = 0.5  # part of the mean share of packets that it waits for
+# seconds that a node naps for more packets: so long for every node that a processor of this computer carries, at most
+LINGER, LONGEST_LINGER = 0.0002, 0.015
+GATHER = 0.25  # part of the mean share of packets that it waits for
 EAGER_FLUSH, CROWDED_FLUSH = 256, 4096  # packets for which a node with work sends an output
 PROGRAM_SECONDS = 600.0  # one process compiles a program, which takes half a minute on an idle computer
 LEAST_SHARE = 256  # packets a node below which nobody waits
