@@ -16,6 +16,7 @@ from raygrid.node import profile
 from raygrid.node.lattice import World, make_space
 from raygrid.node.misses import add_missed
 from raygrid.node.motions import SHIFT, Moves, at_rest, make_groups
+from raygrid.node.native import find_functions
 from raygrid.node.packets import LATTICE
 from raygrid.node.stamped import prices_order
 from raygrid.node.surfaces import STORED_AS, Batch, Kind, SurfaceSet
@@ -54,6 +55,7 @@ def warm(report: Report) -> None:
     """Call every kernel once. `report(done, total, what)` is called at the start, after each function that was
     compiled ("compiling ..."), and at the end; of what is in the cache it hears nothing."""
     report(0, KERNELS, "loading kernels")
+    find_functions()
     compilations = Compilations(report)
     with event.install_listener("numba:compile", compilations):
         array = MemoryArray((2, 1, 1))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from typing import Any
 
 import zmq
@@ -138,13 +139,28 @@ def _serve(
     index, shape = tuple(config["index"]), tuple(config["shape"])
     kind = processor_class(config)
     processor = kind(index, shape, open_links(config, channels), config["batch"], programs=bool(config.get("programs")))
-    if kind is Processor:  # what keeps machine time takes other messages
-        processor.wire(Wired(processor.links, pairs, (life, line.fileno()), timed=bool(config.get("profile"))))
-    faults = [channel for channel in channels.values() if isinstance(channel, Faulty)]
-    if config.get("profile"):
+    profiled = bool(config.get("profile"))
+    if profiled:
         from .profile import Profile
 
         Profile(processor)
+    faults = [channel for channel in channels.values() if isinstance(channel, Faulty)]
+    if kind is not Processor:  # what keeps machine time takes other messages than those that compiled code knows
+        return _loop(config, processor, pairs, faults, life, line, probe)
+    with closing(Wired(processor.links, pairs, (life, line.fileno()), timed=profiled)) as wired:
+        processor.wire(wired)
+        return _loop(config, processor, pairs, faults, life, line, probe)
+
+
+def _loop(
+    config: dict[str, Any],
+    processor: Processor,
+    pairs: dict[int, Pair],
+    faults: list[Faulty],
+    life: int,
+    line: Line,
+    probe: Probe,
+) -> dict[str, Any] | None:
     ports = {pair.socket: port for port, pair in pairs.items()}
     poller = zmq.Poller()
     for socket in ports:

@@ -14,6 +14,7 @@ import ctypes
 import importlib
 import sys
 from collections.abc import Iterable
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -24,8 +25,8 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 # places in the table of addresses
-INITIALIZE, RECEIVE, DATA, LENGTH, MORE, SEND, POLL, ERROR, CHECKSUM, MESSAGE, AGAIN, SLEEP, CLOCK = range(13)
-ADDRESSES = 13
+INITIALIZE, RECEIVE, DATA, LENGTH, MORE, CLOSE, SEND, POLL, ERROR, CHECKSUM, MESSAGE, AGAIN, SLEEP, CLOCK = range(14)
+ADDRESSES = 14
 MESSAGE_WORDS = 8  # of a zmq_msg_t, which has 64 bytes and wants to begin at a multiple of 8
 
 _FROM_ZEROMQ = {
@@ -34,6 +35,7 @@ _FROM_ZEROMQ = {
     DATA: "zmq_msg_data",
     LENGTH: "zmq_msg_size",
     MORE: "zmq_msg_more",
+    CLOSE: "zmq_msg_close",
     SEND: "zmq_send",
     POLL: "zmq_poll",
     ERROR: "zmq_errno",
@@ -51,8 +53,12 @@ def _library_of(module: str) -> ctypes.CDLL:
     return ctypes.CDLL(importlib.import_module(module).__file__)
 
 
+@cache
 def find_functions() -> NDArray[np.int64] | None:
-    """The table of addresses, int64 (ADDRESSES,), without a message and a clock yet; None if one cannot be found."""
+    """The table of addresses, int64 (ADDRESSES,), without a message and a clock; None if one cannot be found.
+
+    To be copied. A fork finds them where its parent did.
+    """
     table = np.zeros(ADDRESSES, np.int64)
     if sys.byteorder != "little":  # of `poll_items`
         return None
@@ -99,12 +105,16 @@ class Message:
         self._data = prototype(int(table[DATA]))
         self._length = ctypes.CFUNCTYPE(ctypes.c_size_t, ctypes.c_void_p)(int(table[LENGTH]))
         number = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)
-        self._more = number(int(table[MORE]))
+        self._more, self._close = number(int(table[MORE])), number(int(table[CLOSE]))
         number(int(table[INITIALIZE]))(self._place)
 
     def copy(self) -> bytes:
         """The bytes of the message that was received last."""
         return ctypes.string_at(self._data(self._place), self._length(self._place))
+
+    def close(self) -> None:
+        """Give back what ZeroMQ holds for it. Nothing may be received into it afterwards."""
+        self._close(self._place)
 
     @property
     def has_more(self) -> bool:

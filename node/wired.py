@@ -30,6 +30,7 @@ class Wired:
         self._links: list[tuple[int, Link]] = []
         self._wired: dict[int, Link] = {}
         self._pairs = pairs
+        self._message: native.Message | None = None
         calls = native.find_functions()
         if calls is None:
             return
@@ -59,6 +60,7 @@ class Wired:
             link.grant(0)  # credit that could not be told
         if why < OTHER:
             return None
+        assert self._message is not None
         port = why - OTHER
         self._pairs[port].put_back(self._message.copy(), self._message.has_more)
         return port
@@ -67,3 +69,11 @@ class Wired:
         """Whether compiled code would receive what comes at a port now."""
         link = self._wired.get(port)
         return link is not None and link.regular
+
+    def close(self) -> None:
+        """Serve no link any more."""
+        self._links, self._wired = [], {}
+        self.wires.books[:, REGULAR] = 0
+        if self._message is not None:
+            self._message.close()
+            self._message = None

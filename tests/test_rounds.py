@@ -134,6 +134,9 @@ def made() -> Iterator[Any]:
         yield make
     finally:
         for bed in beds:
+            if bed.node._wired is not None:
+                bed.node._wired.close()
+                assert not bed.node.serves_itself(UPWARDS)
             bed.pair.close()
             bed.other.close()
         context.term()
