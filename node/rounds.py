@@ -46,6 +46,7 @@ from .walk import HOST, PORTS
 # further reasons to end, after those of a turn
 SEND, OTHER = 4, 5  # Python has something to send; OTHER + port: a message for Python
 ROUNDS = 65536  # packets after which Python looks at orders, probes and the clock
+LEAST_ROUND = 1024  # packets as which a round counts at least, so that a trickle cannot keep Python from looking
 NAPS = 4  # that make up the time for which a node may linger
 DROWSY_FLUSH = 256  # packets for which an output is sent before a nap
 DONTWAIT = 1  # of ZeroMQ, part of its interface
@@ -278,6 +279,6 @@ def go(cell, space, frame, surfaces, pixels, cursor, quota, pace, bounds, stacks
             return quota, why
         needed = _send_all(wires, outputs, pace[FLUSH], why == FULL, pace[BATCH])
         since = _clock(wires, SENDING, since)
-        served += done
+        served += max(done, LEAST_ROUND)
         if needed or served >= ROUNDS:
             return quota, SEND if needed else LONG
