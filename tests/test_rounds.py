@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -188,15 +189,20 @@ def outcome(bed: Bed, raw: list[bytes], taken: int | None = None) -> dict[str, A
     try:
         bed.work(len(raw) if taken is None else taken)
     except ProtocolError as error:
-        said = str(error)
-    tracer = bed.node.tracer
-    return {
+        said = re.sub(r", \d+ were sent", ", others were sent", str(error))  # which is a matter of time
+    result = {
         "said": said,
         "refused": dict(bed.node.refused),
-        "counts": tracer.counts.tolist(),
-        "pixels": tracer.pixels.sums.tolist(),
         "received": (bed.link.received, bed.link.stale, bed.link.data_done),
         "credit": bed.link._book[CREDIT],
+    }
+    if said:  # how far it had come with what it had received, is a matter of when that came
+        return result
+    tracer = bed.node.tracer
+    return {
+        **result,
+        "counts": tracer.counts.tolist(),
+        "pixels": tracer.pixels.sums.tolist(),
         "waits": tracer.backlog.held,
     }
 
