@@ -336,6 +336,11 @@ class Link:
         return self._book[DATA_DONE]
 
     @property
+    def sent(self) -> int:
+        """Messages that were sent so far, and so the sequence number of the next one."""
+        return self._book[SENT]
+
+    @property
     def received(self) -> int:
         """Messages that came so far."""
         return self._book[RECEIVED]

@@ -21,7 +21,8 @@ from support_links import (
 from support_messages import message
 
 from raygrid.node.errors import ProtocolError
-from raygrid.node.link import Link, State
+from raygrid.node.link import CREDIT as LINK_CREDIT
+from raygrid.node.link import DATA_DONE, DATA_DONE_TOLD, DATA_SENT, RECEIVED, SENT, Link, State
 from raygrid.node.messages import VERSION, WINDOW, MessageKind, pack_order, read_header, read_order
 from raygrid.node.packets import SIZE
 from raygrid.node.step import HEAD
@@ -210,8 +211,9 @@ def test_a_message_of_another_epoch_is_counted_and_dropped(wire):
 def test_numbers_run_over_their_end(wire):
     talk = Talk(wire).up()
     for link in talk.links:
-        link._sent = link._received = 2**32 - 5
-        link._data_sent = link._credit = link._data_done = link._data_done_told = 2**32 - 50
+        link._book[SENT] = link._book[RECEIVED] = 2**32 - 5
+        for place in (DATA_SENT, LINK_CREDIT, DATA_DONE, DATA_DONE_TOLD):
+            link._book[place] = 2**32 - 50
     for number in range(200):
         for link in talk.links:
             link.send_data(PACKETS, 1, bytes([number]))

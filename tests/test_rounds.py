@@ -26,7 +26,7 @@ from support_space import EVEN_STEP
 from raygrid.node import native
 from raygrid.node.errors import ProtocolError
 from raygrid.node.lattice import HALF
-from raygrid.node.link import CREDIT, DATA_DONE, DATA_SENT, RECEIVED, REGULAR, SENT, SOCKET, Link, State
+from raygrid.node.link import CREDIT, DATA_DONE, DATA_DONE_TOLD, DATA_SENT, RECEIVED, REGULAR, SENT, SOCKET, Link, State
 from raygrid.node.main import open_links
 from raygrid.node.memory_pair import memory_pair
 from raygrid.node.messages import WINDOW, MessageKind, check_packets
@@ -37,6 +37,7 @@ from raygrid.node.step import HEAD
 from raygrid.node.walk import HOST
 from raygrid.node.wired import Wired
 
+MASK = 0xFFFFFFFF  # of numbers in headers
 UPWARDS = 1  # the port +x of the node at 0,0,0
 NAME, SHAPE = "2x1x1", (2, 1, 1)
 TURNS = 2000  # after so many a node is taken to hang
@@ -113,7 +114,7 @@ class Bed:
                 check_packets(arrival.message, arrival.items)
                 packets += [arrival.message[at : at + SIZE] for at in range(HEAD, len(arrival.message), SIZE)]
                 self.peer.grant()
-            if self.peer.received == self.link._book[SENT]:
+            if self.peer.received == self.link.sent:
                 return sorted(packets)
             self._poller.poll(50)
         pytest.fail("not all messages have come")
@@ -172,9 +173,9 @@ def some_packets(n: int, seed: int = 0) -> list[bytes]:
 
 def messages(link: Link, groups: list[list[bytes]]) -> list[bytes]:
     """PACKETS messages that follow what a link has sent."""
-    first, credit = link._book[SENT], link.data_done
+    first, credit = link.sent, link.data_done
     return [
-        message(MessageKind.PACKETS, b"".join(group), len(group), first + k, credit, link.epoch)
+        message(MessageKind.PACKETS, b"".join(group), len(group), first + k & MASK, credit & MASK, link.epoch)
         for k, group in enumerate(groups)
     ]
 
@@ -324,6 +325,20 @@ def test_any_stream_has_the_same_consequences(data):
         assert outcomes[0] == outcomes[1]
 
 
+def test_numbers_run_over_their_end(beds):
+    outcomes = []
+    for bed in beds():
+        bed.work(0)
+        for link in (bed.link, bed.peer):
+            link._book[SENT] = link._book[RECEIVED] = 2**32 - 5
+            for place in (DATA_SENT, CREDIT, DATA_DONE, DATA_DONE_TOLD):
+                link._book[place] = 2**32 - 9
+        outcomes.append(outcome(bed, messages(bed.peer, [some_packets(3, k) for k in range(40)])))
+        assert len(bed.answers()) > 20
+    assert outcomes[0] == outcomes[1]
+    assert outcomes[1]["received"] == (2**32 + 35, 0, 2**32 + 31)
+
+
 def test_credit_is_told_and_bounds_what_is_sent(beds):
     """One packet a message: compiled code stops at the window, the rest waits in the link, and goes with the credit."""
     _, wired = beds(batch=1)
@@ -339,13 +354,13 @@ def test_credit_is_told_and_bounds_what_is_sent(beds):
             wired.peer.grant()
         wired.node.receive(UPWARDS)
         wired.node.work()
-        if wired.link.waiting == 0 and wired.peer.received == wired.link._book[SENT]:
+        if wired.link.waiting == 0 and wired.peer.received == wired.link.sent:
             break
         wired._poller.poll(20)
     else:
         pytest.fail("what waits for credit is never sent")
     assert wired.link.data_sent > 2 * WINDOW
-    assert wired.peer._book[RECEIVED] == wired.link._book[SENT]
+    assert wired.peer._book[RECEIVED] == wired.link.sent
 
 
 @given(payload=st.binary(max_size=3000), numbers=st.tuples(*[st.integers(0, 2**32 - 1)] * 3))
