@@ -17,15 +17,12 @@ from __future__ import annotations
 import numpy as np
 
 from .compiled import part
+from .shading import light_discs, unit
 from .shading import normals as plain_normals
-from .shading import unit
 from .step import _bear_shadows as plain_shadows
 from .surfaces import AddedKind
 from .tables import (
-    COS_DISC,
-    DISC,
     KIND_SHIFT,
-    LIGHT_KIND,
     OWN_BOX,
     OWN_NUMBER,
     OWN_SCALE,
@@ -179,10 +176,4 @@ def edge_colour(frame, d):
     if red == -1.0 and green == -1.0 and blue == -1.0:
         red, green, blue = frame.background
     red, green, blue = _sound(red), _sound(green), _sound(blue)
-    if frame.discs:
-        lights = frame.lights
-        for light in range(frame.n_lights):
-            x, y, z = lights[light, 1], lights[light, 2], lights[light, 3]
-            if lights[light, LIGHT_KIND] == 0.0 and x * d[0] + y * d[1] + z * d[2] >= lights[light, COS_DISC]:
-                red, green, blue = lights[light, DISC], lights[light, DISC + 1], lights[light, DISC + 2]
-    return red, green, blue
+    return light_discs(frame, d, red, green, blue)

@@ -39,6 +39,7 @@ from .link import (
 from .messages import SUMMED, WINDOW, MessageKind
 from .native import address, bytes_at, call_int, call_long
 from .packets import SIZE, read_u16, read_u32, write
+from .pair import NOBLOCK
 from .step import HEAD
 from .turn import CROWDED, FULL, IDLE, LONG, turn
 from .walk import HOST, PORTS
@@ -49,7 +50,6 @@ ROUNDS = 65536  # packets after which Python looks at orders, probes and the clo
 LEAST_ROUND = 1024  # packets as which a round counts at least, so that a trickle cannot keep Python from looking
 NAPS = 4  # that make up the time for which a node may linger
 DROWSY_FLUSH = 256  # packets for which an output is sent before a nap
-DONTWAIT = 1  # of ZeroMQ, part of its interface
 _PACKETS, _CREDIT = int(MessageKind.PACKETS), int(MessageKind.CREDIT)
 # places in Wires.spent and Pace
 RECEIVING, TURNING, SENDING = 0, 1, 2
@@ -98,7 +98,7 @@ def _post(wires, book, kind, count, raw, at, size):
     write(raw, at + 12, count, 4)
     first = address(raw, np.int64(at))
     write(raw, at + SUMMED, _checksum(wires, first, size), 4)
-    if call_int(wires.calls[native.SEND], (book[SOCKET], first, size, np.int64(DONTWAIT))) < 0:
+    if call_int(wires.calls[native.SEND], (book[SOCKET], first, size, np.int64(NOBLOCK))) < 0:
         return False
     book[SENT] += 1
     book[DATA_DONE_TOLD] = book[DATA_DONE]
@@ -145,7 +145,7 @@ def _receive(wires, port, bounds, stacks, held):
     book, calls = wires.books[port], wires.calls
     while True:
         message = calls[native.MESSAGE]
-        if call_int(calls[native.RECEIVE], (message, book[SOCKET], np.int64(DONTWAIT))) < 0:
+        if call_int(calls[native.RECEIVE], (message, book[SOCKET], np.int64(NOBLOCK))) < 0:
             return call_int(calls[native.ERROR], ()) == calls[native.AGAIN]
         first, size = call_long(calls[native.DATA], (message,)), call_long(calls[native.LENGTH], (message,))
         if size < HEAD or call_int(calls[native.MORE], (message,)) != 0:

@@ -15,7 +15,20 @@ import numpy as np
 from .compiled import part
 from .intersect import CONE_AXIS, CONE_BASE, CONE_SLOPE, PLANE_NORMAL
 from .lattice import coordinate
-from .tables import AXIS, COS_INNER, COS_OUTER, FALLOFF, INTENSITY, KIND_SHIFT, LIGHT_KIND, PLACE, SLOT_MASK, SPOT
+from .tables import (
+    AXIS,
+    COS_DISC,
+    COS_INNER,
+    COS_OUTER,
+    DISC,
+    FALLOFF,
+    INTENSITY,
+    KIND_SHIFT,
+    LIGHT_KIND,
+    PLACE,
+    SLOT_MASK,
+    SPOT,
+)
 
 
 @part
@@ -122,6 +135,18 @@ def refract(d, n, cosine, ratio):
         return False, d
     along = ratio * cosine - np.sqrt(k)
     return True, unit(ratio * d[0] + along * n[0], ratio * d[1] + along * n[1], ratio * d[2] + along * n[2])
+
+
+@part
+def light_discs(frame, d, red, green, blue):
+    """What a ray that leaves the scene in direction d sees before this background: itself, or the disc of a light."""
+    if frame.discs:
+        lights = frame.lights
+        for light in range(frame.n_lights):
+            x, y, z = lights[light, PLACE], lights[light, PLACE + 1], lights[light, PLACE + 2]
+            if lights[light, LIGHT_KIND] == 0.0 and x * d[0] + y * d[1] + z * d[2] >= lights[light, COS_DISC]:
+                red, green, blue = lights[light, DISC], lights[light, DISC + 1], lights[light, DISC + 2]
+    return red, green, blue
 
 
 @part

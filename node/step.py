@@ -39,18 +39,15 @@ from .packets import (
     unpack_weight,
 )
 from .pixels import fixed_point, slot
-from .shading import light_direction, light_intensity, normals, place, refract
+from .shading import light_direction, light_discs, light_intensity, normals, place, refract
 from .tables import (
     BORN,
-    COS_DISC,
     DIED,
     DIFFUSE,
-    DISC,
     HIGHLIGHT,
     HITS,
     HOMES,
     IOR,
-    LIGHT_KIND,
     MISADDRESSED,
     SENT,
     SHINE,
@@ -251,13 +248,7 @@ def _at_edge(cell, space, frame, pixels, packets, at, kind, d, outputs, counts):
 def edge_colour(frame, d):
     """What a ray that leaves the scene in direction d sees: the background, or the disc of a light."""
     red, green, blue = frame.background
-    if frame.discs:
-        lights = frame.lights
-        for light in range(frame.n_lights):
-            x, y, z = lights[light, 1], lights[light, 2], lights[light, 3]
-            if lights[light, LIGHT_KIND] == 0.0 and x * d[0] + y * d[1] + z * d[2] >= lights[light, COS_DISC]:
-                red, green, blue = lights[light, DISC], lights[light, DISC + 1], lights[light, DISC + 2]
-    return red, green, blue
+    return light_discs(frame, d, red, green, blue)
 
 
 @part

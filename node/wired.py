@@ -27,8 +27,7 @@ class Wired:
         others  descriptors for which a node waits as well; timed  let the rounds be timed
         """
         self.wires = no_wires()
-        self._links: list[tuple[int, Link]] = []
-        self._wired: dict[int, Link] = {}
+        self._links: dict[int, Link] = {}
         self._pairs = pairs
         self._message: native.Message | None = None
         calls = native.find_functions()
@@ -41,22 +40,21 @@ class Wired:
             if port != HOST and link.channel is pairs.get(port):
                 link.keep_book(self.wires.books[port])
                 self.wires.books[port, SOCKET] = pairs[port].socket.underlying
-                self._links.append((port, link))
-        self._wired = dict(self._links)
+                self._links[port] = link
         items = native.poll_items([int(pair.socket.underlying) for pair in pairs.values()], others)
-        ports = [port if port in self._wired else -1 for port in pairs]
+        ports = [port if port in self._links else -1 for port in pairs]
         self.wires = self.wires._replace(
             items=items, ports=np.array(ports + [-1] * (len(items) - len(ports)), np.int64)
         )
 
     def begin(self) -> None:
         """Before rounds: mark the links that are regular."""
-        for port, link in self._links:
+        for port, link in self._links.items():
             self.wires.books[port, REGULAR] = link.regular
 
     def end(self, why: int) -> int | None:
         """After rounds that ended for this reason: the port of a link of which Python must receive, if there is one."""
-        for _, link in self._links:
+        for link in self._links.values():
             link.grant(0)  # credit that could not be told
         if why < OTHER:
             return None
@@ -67,12 +65,12 @@ class Wired:
 
     def serves(self, port: int) -> bool:
         """Whether compiled code would receive what comes at a port now."""
-        link = self._wired.get(port)
+        link = self._links.get(port)
         return link is not None and link.regular
 
     def close(self) -> None:
         """Serve no link any more."""
-        self._links, self._wired = [], {}
+        self._links = {}
         self.wires.books[:, REGULAR] = 0
         if self._message is not None:
             self._message.close()
