@@ -24,17 +24,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .backlog import RAYS, SHADOWS, Backlog
+from .ahead import AHEAD, column, read_ahead, set_up_ahead
+from .backlog import CLASSES, RAYS, SHADOWS, Backlog
 from .births import bear_primaries, new_cursor
 from .compiled import lean
 from .lattice import T_MIN
-from .packets import PRIMARY, SHADOW, SIZE, read_u16, read_u24, unit_vector
+from .packets import PRIMARY, SHADOW, SIZE
 from .profile_parts import PARTS
-from .shading import light_direction, place
 from .tables import BORN, COUNTS, WALKS
 from .traverse import blocked, closest
 from .turn import PORTION
-from .walk import inverse, passage
 
 if TYPE_CHECKING:
     from .processor import Processor
@@ -47,42 +46,41 @@ BIRTHS = 8192  # primary rays born aside to know the time of one
 
 
 @lean
-def again(cell, space, frame, surfaces, packets, first, last, what, stack, counts):
-    """Decode packets first..last-1, and walk and search as far as `what` says; a number that depends on all of it."""
+def again(cell, space, frame, surfaces, packets, ports, first, last, what, stack, ahead, counts):
+    """Decode packets first..last-1, of one class, and walk and search as far as `what` says; a number that depends on
+    all of it."""
     told = 0.0
-    for k in range(first, last):
-        at = k * SIZE
-        origin = (read_u24(packets, at + 5), read_u24(packets, at + 8), read_u24(packets, at + 11))
-        o = place(origin, space.step)
-        shadow = (np.int64(packets[at]) & 7) == SHADOW
-        if shadow:
-            d, distance = light_direction(frame.lights, read_u16(packets, at + 14), o)
-        else:
-            d, distance = unit_vector(read_u24(packets, at + 14), read_u24(packets, at + 17)), np.inf
-        told += d[0] + d[1] + d[2] + distance
+    shadow = (np.int64(packets[first * SIZE]) & 7) == SHADOW
+    for k in range(first, last, AHEAD):
+        many = min(AHEAD, last - k)
+        read_ahead(frame, packets, ports, k, k + many, shadow, ahead)
+        told += ahead.whole[0]
         if what == DECODE:
             continue
-        inv = (inverse(d[0]), inverse(d[1]), inverse(d[2]))
-        t_in, t_out, leave = passage(cell, o, inv)
-        told += t_in + t_out + leave
+        set_up_ahead(cell, space, many, shadow, ahead)
+        told += ahead.ways[0]
         if what == WALK or len(surfaces.floats) == 0:
             continue
-        lower = max(t_in, T_MIN)
-        if shadow:
-            told += blocked(surfaces, stack, o, d, inv, lower, min(t_out, distance), counts)
-        else:
-            told += closest(surfaces, stack, o, d, inv, lower, t_out, counts)[1]
+        for j in range(many):
+            _, o, d, inv, t_in, t_out, distance = column(ahead, j)
+            lower = max(t_in, T_MIN)
+            if shadow:
+                told += blocked(surfaces, stack, o, d, inv, lower, min(t_out, distance), counts)
+            else:
+                told += closest(surfaces, stack, o, d, inv, lower, t_out, counts)[1]
     return told
 
 
 def warm(tracer: Tracer) -> None:
     """Load the kernel, or compile it, for a tracer with a frame."""
-    _again(tracer, np.zeros(SIZE, np.uint8), 0, 0, HIT, np.zeros(COUNTS, np.int64))
+    _again(tracer, np.zeros(SIZE, np.uint8), np.zeros(1, np.uint8), 0, 0, HIT, np.zeros(COUNTS, np.int64))
 
 
-def _again(tracer: Tracer, packets: np.ndarray, first: int, last: int, what: int, counts: np.ndarray) -> None:
-    stack = tracer.outputs.stack
-    again(tracer.cell, tracer.space, tracer.frame, tracer.surfaces, packets, first, last, what, stack, counts)
+def _again(
+    tracer: Tracer, packets: np.ndarray, ports: np.ndarray, first: int, last: int, what: int, counts: np.ndarray
+) -> None:
+    tables = tracer.cell, tracer.space, tracer.frame, tracer.surfaces
+    again(*tables, packets, ports, first, last, what, tracer.outputs.stack, tracer.outputs.ahead, counts)
 
 
 class Profile:
@@ -161,12 +159,17 @@ class Profile:
     def _sample_stack(self, backlog: Backlog, kind: int, held: int) -> None:
         tracer = self._processor.tracer
         first = max(0, held - PORTION)
-        before = 0.0
+
+        def timed(end: int, what: int) -> float:
+            begun = time.thread_time()
+            _again(tracer, backlog.stacks[kind], backlog.stacks[CLASSES + kind], first, end, what, self._counts)
+            return time.thread_time() - begun
+
+        timed(first, DECODE)  # the way into compiled code is long, and cold the first time
+        before = timed(first, DECODE)
         self._packets += held - first
         for part, what in (("decode", DECODE), ("walk", WALK), ("hit", HIT)):
-            begun = time.thread_time()
-            _again(tracer, backlog.stacks[kind], first, held, what, self._counts)
-            spent = time.thread_time() - begun
+            spent = timed(held, what)
             self._sampled[part] += max(spent - before, 0.0)
             before = spent
 

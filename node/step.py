@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .ahead import AHEAD, ASTRAY, Ahead, column, make_ahead, read_ahead, set_up_ahead
 from .camera import home_of_sample
 from .compiled import lean, part
 from .lattice import GENTLE, LIFT, T_MIN, beside_ray
@@ -70,22 +71,21 @@ from .walk import (
     towards_start,
 )
 
-AHEAD = 128  # packets whose rays are set up before the first of them is looked for hits
-ASTRAY = 8  # added to the port by which a ray goes to the cell of its origin
+# what is done with a packet, by its kind
+SETTLES, WALKS_ON, SHADOWS_ON = 0, 1, 2
 HEAD = 20  # bytes kept free at the head of every output for the link's header
 
 
 class Outputs(NamedTuple):
     """Where a step writes: bytes uint8 (OUTPUTS, HEAD + room * SIZE), packets held int64 (OUTPUTS,), and scratch.
 
-    stack  int64, keys of the hierarchy; ahead, ways: float64 (AHEAD, 12), int64 (AHEAD,), what `_set_up` gives
+    stack  int64, keys of the hierarchy; ahead  rays that are set up
     """
 
     data: NDArray[np.uint8]
     held: NDArray[np.int64]
     stack: NDArray[np.int64]
-    ahead: NDArray[np.float64]
-    ways: NDArray[np.int64]
+    ahead: Ahead
 
 
 def make_outputs(room: int, stack: int) -> Outputs:
@@ -94,8 +94,7 @@ def make_outputs(room: int, stack: int) -> Outputs:
         np.zeros((OUTPUTS, HEAD + room * SIZE), np.uint8),
         np.zeros(OUTPUTS, np.int64),
         np.zeros(stack, np.int64),
-        np.zeros((AHEAD, 12)),
-        np.zeros(AHEAD, np.int64),
+        make_ahead(),
     )
 
 
@@ -255,7 +254,7 @@ def edge_colour(frame, d):
 def _set_up(cell, space, frame, packets, at, port, kind):
     """What is known of a ray or shadow ray before any surface is looked at: (way, o, d, inv, t_in, t_out, distance).
 
-    way  the exit port; ASTRAY + port for one that has to go to the cell of its origin first
+    way  the exit port; ASTRAY for one that has to go to the cell of its origin first
     """
     origin = read_origin(packets, at)
     o = place(origin, space.step)
@@ -265,10 +264,8 @@ def _set_up(cell, space, frame, packets, at, port, kind):
         d, distance = unit_vector(read_u24(packets, at + 14), read_u24(packets, at + 17)), np.inf
     inv = (inverse(d[0]), inverse(d[1]), inverse(d[2]))
     t_in, t_out, way = passage(cell, o, inv)
-    if not is_walking(cell, origin, port):
-        onward = towards_start(cell, origin)
-        if onward != NO_PORT:
-            way = ASTRAY + onward
+    if not is_walking(cell, origin, port) and towards_start(cell, origin) != NO_PORT:
+        way = ASTRAY
     return way, o, d, inv, t_in, t_out, distance
 
 
@@ -276,8 +273,8 @@ def _set_up(cell, space, frame, packets, at, port, kind):
 def _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, outputs, counts):
     """A primary, reflected or refracted ray. `ray`: what `_set_up` gives."""
     way, o, d, inv, t_in, t_out, _ = ray
-    if way >= ASTRAY:
-        _hand_on(packets, at, way - ASTRAY, outputs, counts)
+    if way == ASTRAY:
+        _hand_on(packets, at, towards_start(cell, read_origin(packets, at)), outputs, counts)
         return
     counts[WALKS] += 1
     if len(surfaces.floats) > 0:
@@ -295,8 +292,8 @@ def _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, outp
 def _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, outputs, counts):
     """A shadow ray: forgotten at the first surface, a return packet where it reaches its light."""
     way, o, d, inv, t_in, t_out, distance = ray
-    if way >= ASTRAY:
-        _hand_on(packets, at, way - ASTRAY, outputs, counts)
+    if way == ASTRAY:
+        _hand_on(packets, at, towards_start(cell, read_origin(packets, at)), outputs, counts)
         return
     counts[WALKS] += 1
     upper = min(t_out, distance)
@@ -363,38 +360,34 @@ def step_one(cell, space, frame, surfaces, pixels, packets, at, port, outputs, c
 
 
 @part
-def _look_ahead(cell, space, frame, packets, ports, first, last, ahead, ways):
-    """Set up the rays and shadow rays among packets first..last-1.
-
-    A search for hits ends in branches that no processor foresees, and each would wait for the roots and quotients of
-    its own ray. Here, with hardly a branch, the processor works on those of several rays at once.
-    """
-    for k in range(first, last):
-        kind = np.int64(packets[k * SIZE]) & 7
-        if kind == RETURN or kind == PIXEL:
-            continue
-        way, o, d, inv, t_in, t_out, distance = _set_up(cell, space, frame, packets, k * SIZE, np.int64(ports[k]), kind)
-        ways[k - first] = way
-        for axis in range(3):
-            ahead[k - first, axis], ahead[k - first, 3 + axis], ahead[k - first, 6 + axis] = o[axis], d[axis], inv[axis]
-        ahead[k - first, 9], ahead[k - first, 10], ahead[k - first, 11] = t_in, t_out, distance
+def _what(kind):
+    """Which of the three sorts of steps a packet of this kind takes."""
+    return SHADOWS_ON if kind == SHADOW else (SETTLES if kind == RETURN or kind == PIXEL else WALKS_ON)
 
 
 @part
-def _step_each(cell, space, frame, surfaces, pixels, packets, first, last, outputs, counts):
-    """The ray step of packets first..last-1 that `_look_ahead` has seen."""
-    ahead, ways = outputs.ahead, outputs.ways
+def _alike(packets, first, last):
+    """(sort of step of packet `first`, the first packet after it with another, or `last`)."""
+    what, k = _what(np.int64(packets[first * SIZE]) & 7), first + 1
+    while k < last and _what(np.int64(packets[k * SIZE]) & 7) == what:
+        k += 1
+    return what, k
+
+
+@part
+def _step_each(cell, space, frame, surfaces, pixels, packets, first, last, what, outputs, counts):
+    """The ray step of packets first..last-1, all of this sort; rays are set up already."""
     for k in range(first, last):
-        kind, j = np.int64(packets[k * SIZE]) & 7, k - first
-        if kind == RETURN or kind == PIXEL:
-            _settle(cell, space, frame, pixels, packets, k * SIZE, kind, outputs, counts)
+        at, j = k * SIZE, k - first
+        if what == SETTLES:
+            _settle(cell, space, frame, pixels, packets, at, np.int64(packets[at]) & 7, outputs, counts)
             continue
-        o, d = (ahead[j, 0], ahead[j, 1], ahead[j, 2]), (ahead[j, 3], ahead[j, 4], ahead[j, 5])
-        ray = (ways[j], o, d, (ahead[j, 6], ahead[j, 7], ahead[j, 8]), ahead[j, 9], ahead[j, 10], ahead[j, 11])
-        if kind == SHADOW:
-            _step_shadow(cell, space, frame, surfaces, pixels, packets, k * SIZE, ray, outputs, counts)
+        ray = column(outputs.ahead, j)
+        if what == SHADOWS_ON:
+            _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, outputs, counts)
         else:
-            _step_ray(cell, space, frame, surfaces, pixels, packets, k * SIZE, kind, ray, outputs, counts)
+            kind = np.int64(packets[at]) & 7
+            _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, outputs, counts)
 
 
 @part
@@ -420,7 +413,10 @@ def step(cell, space, frame, surfaces, pixels, packets, ports, first, last, outp
         stop = min(last, k + min(AHEAD, (room - fullest(outputs.held)) // (frame.n_lights + 2)))
         if stop == k:
             break
-        _look_ahead(cell, space, frame, packets, ports, k, stop, outputs.ahead, outputs.ways)
-        _step_each(cell, space, frame, surfaces, pixels, packets, k, stop, outputs, counts)
+        what, stop = _alike(packets, k, stop)
+        if what != SETTLES:
+            read_ahead(frame, packets, ports, k, stop, what == SHADOWS_ON, outputs.ahead)
+            set_up_ahead(cell, space, stop - k, what == SHADOWS_ON, outputs.ahead)
+        _step_each(cell, space, frame, surfaces, pixels, packets, k, stop, what, outputs, counts)
         k = stop
     return k
