@@ -16,8 +16,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from llvmlite import ir
-from numba.core import cgutils, types
+from numba.core import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
@@ -25,7 +24,7 @@ from .compiled import part
 from .packets import HALF_DIRECTION, LATTICE, SIZE, read_origin, read_u16, read_u64
 from .tables import LIGHT_KIND
 from .tables import PLACE as LIGHT_PLACE
-from .vectors import EIGHT, Lanes, Table, least, most, splat
+from .vectors import EIGHT, Lanes, Table, least, most, splats
 from .walk import HUGE
 
 AHEAD = 128  # rays that are set up before the first of them is looked for hits; a multiple of EIGHT
@@ -57,21 +56,19 @@ def make_ahead() -> Ahead:
 def _unit_vector(whole: Table, _known: Table, _places: list[Lanes]) -> tuple[list[Lanes], Lanes | None]:
     """As `packets.unit_vector`; no distance."""
     u, v = ((whole.read(CODES + k) - HALF_DIRECTION).as_float() * (1.0 / HALF_DIRECTION) for k in range(2))
-    z = 1.0 - u.size() - v.size()
-    folded_x, folded_y = 1.0 - v.size(), 1.0 - u.size()
-    x = (z < 0.0).choose(folded_x.signed_as(u), u)
-    y = (z < 0.0).choose(folded_y.signed_as(v), v)
-    scale = (x * x + y * y + z * z).root().under(1.0)
+    z = 1.0 - abs(u) - abs(v)
+    x = (z < 0.0).choose((1.0 - abs(v)).signed_as(u), u)
+    y = (z < 0.0).choose((1.0 - abs(u)).signed_as(v), v)
+    scale = 1.0 / (x * x + y * y + z * z).root()
     return [x * scale, y * scale, z * scale], None
 
 
 def _light_direction(_whole: Table, known: Table, places: list[Lanes]) -> tuple[list[Lanes], Lanes | None]:
     """As `shading.light_direction`, of lights whose places and kinds stand where direction and distance will."""
-    lights = [known.read(DIRECTION + axis) for axis in range(3)]
+    lights = known.read_three(DIRECTION)
     x, y, z = (light - place for light, place in zip(lights, places, strict=True))
-    squared = x * x + y * y + z * z
-    distance = squared.root()
-    scale = (distance <= 0.0).choose(0.0, distance.under(1.0))
+    distance = (x * x + y * y + z * z).root()
+    scale = (distance <= 0.0).choose(0.0, 1.0 / distance)
     endless = known.read(DISTANCE).equals(0.0)
     towards = [endless.choose(light, one * scale) for light, one in zip(lights, (x, y, z), strict=True)]
     return towards, endless.choose(float("inf"), distance)
@@ -85,23 +82,25 @@ def _passage(places: list[Lanes], inverses: list[Lanes], bounds: list[Lanes]) ->
     ]
     (in_x, in_y, in_z), (out_x, out_y, out_z) = ([of(*pair) for pair in times] for of in (least, most))
     out_yz = least(out_y, out_z)
-    x, y, z = ((inverses[axis] >= 0.0).choose_whole(2 * axis + 1, 2 * axis) for axis in range(3))
+    x, y, z = ((inverses[axis] >= 0.0).as_long() + 2 * axis for axis in range(3))
     way = (out_x <= out_yz).choose(x, (out_y <= out_z).choose(y, z))
     return most(in_x, most(in_y, in_z)), least(out_x, out_yz), way
 
 
-def _astray(whole: Table, corners: list[Lanes]) -> Lanes:
-    """Which have to go to the cell of their origin first, by `walk.towards_start` and `walk.is_walking`.
+def behind(origin: list[Lanes], corners: list[Lanes]) -> Lanes:
+    """Six bits, one a port: behind which of them the origin lies, as int32. The lowest is `walk.towards_start`."""
+    bits = [(at < corners[axis]).as_int() << (2 * axis) for axis, at in enumerate(origin)]
+    bits += [(at >= corners[3 + axis]).as_int() << (2 * axis + 1) for axis, at in enumerate(origin)]
+    low, high = (one[0] | one[1] | one[2] for one in (bits[:3], bits[3:]))
+    return low | high
 
-    Of six bits, one a port, those are set behind which the origin lies. A ray walks if it came by one of them.
-    """
-    behind: Lanes | None = None
-    for axis in range(3):
-        at = whole.read(ORIGIN + axis)
-        bits = (at < corners[axis]).bit(2 * axis) | (at >= corners[3 + axis]).bit(2 * axis + 1)
-        behind = bits if behind is None else behind | bits
-    assert behind is not None
-    return (behind >= 1).lacks(behind.has_bit(whole.read(PORT)))
+
+def _astray(whole: Table, corners: list[Lanes]) -> Lanes:
+    """Which have to go to the cell of their origin first: those behind a port, unless they came by one of these ports
+    (`walk.is_walking`)."""
+    ports = behind(whole.read_three(ORIGIN), corners)
+    came_by_one = ports >> whole.read(PORT) & 1
+    return (ports >= 1).lacks(came_by_one >= 1)
 
 
 def _set_up(direction_of: Callable[..., tuple[list[Lanes], Lanes | None]]) -> Any:
@@ -117,15 +116,12 @@ def _set_up(direction_of: Callable[..., tuple[list[Lanes], Lanes | None]]) -> An
         """
 
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            tables = [Table(context, builder, signature.args[k], args[k], args[3], AHEAD) for k in range(3)]
-            steps, planes, edges = (
-                [splat(builder, value) for value in cgutils.unpack_tuple(builder, packed)] for packed in args[4:]
-            )
-            _write_all(direction_of, *tables, steps, planes, edges)
+            rows, numbers, out = (Table(context, builder, signature.args[k], args[k], args[3], AHEAD) for k in range(3))
+            _write_all(direction_of, rows, numbers, out, *(splats(builder, packed) for packed in args[4:]))
             return context.get_dummy_value()
 
-        single, whole_number = types.float64, types.int32
-        tuples = types.UniTuple(single, 3), types.UniTuple(single, 6), types.UniTuple(whole_number, 6)
+        single, number = types.float64, types.int32
+        tuples = types.UniTuple(single, 3), types.UniTuple(single, 6), types.UniTuple(number, 6)
         return types.void(whole, known, ways, types.int64, *tuples), codegen
 
     return intrinsic(intrinsic_function)
@@ -136,14 +132,14 @@ def _write_all(
     whole: Table,
     known: Table,
     ways: Table,
-    steps: list[Lanes],
-    planes: list[Lanes],
-    edges: list[Lanes],
+    step: list[Lanes],
+    bounds: list[Lanes],
+    corners: list[Lanes],
 ) -> None:
-    places = [(whole.read(ORIGIN + axis) - LATTICE // 2).as_float() * steps[axis] for axis in range(3)]
+    places = [(at - LATTICE // 2).as_float() * step[axis] for axis, at in enumerate(whole.read_three(ORIGIN))]
     directions, distance = direction_of(whole, known, places)
-    inverses = [(d.size() < 1.0 / HUGE).choose(HUGE, d.under(1.0)) for d in directions]
-    t_in, t_out, way = _passage(places, inverses, planes)
+    inverses = [(abs(d) < 1.0 / HUGE).choose(HUGE, 1.0 / d) for d in directions]
+    t_in, t_out, way = _passage(places, inverses, bounds)
     for axis in range(3):
         known.write(PLACE + axis, places[axis])
         known.write(DIRECTION + axis, directions[axis])
@@ -152,7 +148,7 @@ def _write_all(
     known.write(T_OUT, t_out)
     if distance is not None:
         known.write(DISTANCE, distance)
-    ways.write(0, _astray(whole, edges).choose_whole(ASTRAY, way))
+    ways.write(0, _astray(whole, corners).choose(ASTRAY, way))
 
 
 # kernels call them without the first argument
@@ -188,9 +184,9 @@ def read_ahead(frame, packets, ports, first, last, shadows, ahead):
 
 
 @part
-def set_up_ahead(cell, space, many, shadows, ahead):
-    """Set up the rays that were read."""
-    corners = (
+def corners(cell):
+    """The corners of a cell on the lattice: six int32, the low ones first."""
+    return (
         np.int32(cell.low[0]),
         np.int32(cell.low[1]),
         np.int32(cell.low[2]),
@@ -198,13 +194,18 @@ def set_up_ahead(cell, space, many, shadows, ahead):
         np.int32(cell.high[1]),
         np.int32(cell.high[2]),
     )
+
+
+@part
+def set_up_ahead(cell, space, many, shadows, ahead):
+    """Set up the rays that were read."""
     bounds = (*cell.low_at, *cell.high_at)
     if shadows:
         for j in range(0, many, EIGHT):
-            _shadows(ahead.whole, ahead.known, ahead.ways, j, space.step, bounds, corners)
+            _shadows(ahead.whole, ahead.known, ahead.ways, j, space.step, bounds, corners(cell))
     else:
         for j in range(0, many, EIGHT):
-            _rays(ahead.whole, ahead.known, ahead.ways, j, space.step, bounds, corners)
+            _rays(ahead.whole, ahead.known, ahead.ways, j, space.step, bounds, corners(cell))
 
 
 @part

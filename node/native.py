@@ -195,9 +195,28 @@ def _copy_bytes(typingctx: Any, source: Any, at: Any, target: Any, to: Any, size
     return types.void(source, types.int64, target, types.int64, types.int64), codegen
 
 
+def _put_words(typingctx: Any, target: Any, at: Any, first: Any, second: Any, third: Any) -> Any:
+    """Put three int64 into a flat uint8 array, 24 bytes from `at` on, the least of each first. Nothing is checked."""
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        for k, value in enumerate(arguments[2:]):
+            place = builder.gep(data, [builder.add(arguments[1], ir.Constant(_LONG, 8 * k))])
+            builder.store(_least_first(builder, value), builder.bitcast(place, _LONG.as_pointer()), align=1)
+        return context.get_dummy_value()
+
+    return types.void(target, types.int64, types.int64, types.int64, types.int64), codegen
+
+
+def _least_first(builder: Any, value: Any) -> Any:
+    """A 64-bit number in the order of bytes of this computer that puts the least first."""
+    return value if sys.byteorder == "little" else builder.bswap(value)
+
+
 # kernels call them without the first argument
 call_long: Any = intrinsic(_call_long)
 call_int: Any = intrinsic(_call_int)
 bytes_at: Any = intrinsic(_bytes_at)
 address: Any = intrinsic(_address)
 copy_bytes: Any = intrinsic(_copy_bytes)
+put_words: Any = intrinsic(_put_words)

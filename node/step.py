@@ -16,7 +16,10 @@ from numpy.typing import NDArray
 from .ahead import AHEAD, ASTRAY, Ahead, column, make_ahead, read_ahead, set_up_ahead
 from .camera import home_of_sample
 from .compiled import lean, part
-from .lattice import GENTLE, LIFT, T_MIN, beside_ray
+from .lattice import T_MIN
+from .newborn import RAYS as RAY_BROOD
+from .newborn import SHADOWS as SHADOW_BROOD
+from .newborn import Newborn, make_newborn, note, put, starts_behind, work_out
 from .packets import (
     PIXEL,
     REFLECTED,
@@ -26,11 +29,7 @@ from .packets import (
     SIZE,
     copy_packet,
     get_intensity,
-    octahedral,
-    pack_weight,
-    put_ray,
     put_return,
-    put_shadow,
     read_origin,
     read_u16,
     read_u24,
@@ -79,13 +78,14 @@ HEAD = 20  # bytes kept free at the head of every output for the link's header
 class Outputs(NamedTuple):
     """Where a step writes: bytes uint8 (OUTPUTS, HEAD + room * SIZE), packets held int64 (OUTPUTS,), and scratch.
 
-    stack  int64, keys of the hierarchy; ahead  rays that are set up
+    stack  int64, keys of the hierarchy; ahead  rays that are set up; newborn  births that are noted
     """
 
     data: NDArray[np.uint8]
     held: NDArray[np.int64]
     stack: NDArray[np.int64]
     ahead: Ahead
+    newborn: Newborn
 
 
 def make_outputs(room: int, stack: int) -> Outputs:
@@ -95,7 +95,14 @@ def make_outputs(room: int, stack: int) -> Outputs:
         np.zeros(OUTPUTS, np.int64),
         np.zeros(stack, np.int64),
         make_ahead(),
+        make_newborn(),
     )
+
+
+def clear(outputs: Outputs) -> None:
+    """Forget what outputs hold."""
+    outputs.held[:] = 0
+    outputs.newborn.held[:] = 0
 
 
 @part
@@ -145,31 +152,43 @@ def _keep(frame, pixels, sample, intensity, counts):
 
 
 @part
-def _origin(space, p, g, d):
-    """Lattice origin of a ray born at p: lifted off the surface to the side that it goes to, then rounded.
+def _bear(cell, space, brood, kind, sample, depth, light, p, g, d, weight, outputs, counts):
+    """Note a birth, and write all that are noted if there is room for no more."""
+    counts[BORN + kind] += 1
+    head = kind | (depth << 3) | (sample << 8)
+    if note(outputs.newborn, brood, head, light, p, g, d, weight):
+        _write_newborn(cell, space, brood, outputs, counts)
 
-    It is moved along itself, which changes nothing of what it sees. A ray that leaves at a grazing angle would have to
-    go far, so it is lifted along the normal by what is lacking.
-    """
-    slope = g[0] * d[0] + g[1] * d[1] + g[2] * d[2]
-    along = LIFT / max(abs(slope), GENTLE)
-    lacking = LIFT - along * abs(slope)
-    side = lacking if slope >= 0.0 else -lacking
-    start = (p[0] + along * d[0] + side * g[0], p[1] + along * d[1] + side * g[1], p[2] + along * d[2] + side * g[2])
-    return beside_ray(space.step, start, d, 1)
+
+@part
+def _write_newborn(cell, space, brood, outputs, counts):
+    """Put all births of a brood that are noted on the outputs."""
+    newborn = outputs.newborn
+    work_out(cell, space, newborn, brood)
+    for j in range(newborn.held[brood]):
+        ports = starts_behind(newborn, brood, j)
+        output = SELF if brood == SHADOW_BROOD else SELF_RAYS
+        if ports != 0:
+            output = 0
+            while (ports >> output) & 1 == 0:
+                output += 1
+        row, at = _claim(outputs, output, counts)
+        put(newborn, brood, j, row, at)
+    newborn.held[brood] = 0
+
+
+@part
+def _write_all_newborn(cell, space, outputs, counts):
+    """Put all births that are noted on the outputs."""
+    _write_newborn(cell, space, SHADOW_BROOD, outputs, counts)
+    _write_newborn(cell, space, RAY_BROOD, outputs, counts)
 
 
 @part
 def _bear_ray(cell, space, frame, kind, depth, sample, p, g, d, weight, outputs, counts):
     """Bear a reflected or refracted ray, unless it is too faint."""
-    if not max(weight[0], weight[1], weight[2]) > frame.min_weight:
-        return
-    origin = _origin(space, p, g, d)
-    packed = pack_weight(weight[0], weight[1], weight[2])
-    counts[BORN + kind] += 1
-    output = towards_start(cell, origin)
-    row, at = _claim(outputs, SELF_RAYS if output == NO_PORT else output, counts)
-    put_ray(row, at, kind, depth, sample, origin, octahedral(d[0], d[1], d[2]), packed)
+    if max(weight[0], weight[1], weight[2]) > frame.min_weight:
+        _bear(cell, space, RAY_BROOD, kind, sample, depth, 0, p, g, d, weight, outputs, counts)
 
 
 @part
@@ -186,14 +205,12 @@ def _bear_shadows(cell, space, frame, material, depth, sample, p, g, n, mirror, 
         if m[material, HIGHLIGHT] > 0.0 or m[material, HIGHLIGHT + 1] > 0.0 or m[material, HIGHLIGHT + 2] > 0.0:
             along = mirror[0] * to_light[0] + mirror[1] * to_light[1] + mirror[2] * to_light[2]
             shine = max(along, 0.0) ** m[material, SHINE]
-        red = weight[0] * intensity[0] * (m[material, DIFFUSE] * cosine + m[material, HIGHLIGHT] * shine)
-        green = weight[1] * intensity[1] * (m[material, DIFFUSE + 1] * cosine + m[material, HIGHLIGHT + 1] * shine)
-        blue = weight[2] * intensity[2] * (m[material, DIFFUSE + 2] * cosine + m[material, HIGHLIGHT + 2] * shine)
-        origin = _origin(space, p, g, to_light)
-        counts[BORN + SHADOW] += 1
-        output = towards_start(cell, origin)
-        row, at = _claim(outputs, SELF if output == NO_PORT else output, counts)
-        put_shadow(row, at, depth, sample, origin, light, (red, green, blue))
+        adds = (
+            weight[0] * intensity[0] * (m[material, DIFFUSE] * cosine + m[material, HIGHLIGHT] * shine),
+            weight[1] * intensity[1] * (m[material, DIFFUSE + 1] * cosine + m[material, HIGHLIGHT + 1] * shine),
+            weight[2] * intensity[2] * (m[material, DIFFUSE + 2] * cosine + m[material, HIGHLIGHT + 2] * shine),
+        )
+        _bear(cell, space, SHADOW_BROOD, SHADOW, sample, depth, light, p, g, to_light, adds, outputs, counts)
 
 
 @part
@@ -357,6 +374,7 @@ def step_one(cell, space, frame, surfaces, pixels, packets, at, port, outputs, c
         _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, outputs, counts)
     else:
         _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, outputs, counts)
+        _write_all_newborn(cell, space, outputs, counts)
 
 
 @part
@@ -388,6 +406,8 @@ def _step_each(cell, space, frame, surfaces, pixels, packets, first, last, what,
         else:
             kind = np.int64(packets[at]) & 7
             _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, outputs, counts)
+    if what == WALKS_ON:
+        _write_all_newborn(cell, space, outputs, counts)
 
 
 @part

@@ -19,7 +19,7 @@ from .pixels import Pixels, make_pixels, send_pixels
 from .programs import Compiled
 from .refit import WORSE, expected_cost
 from .rounds import go, no_wires
-from .step import HEAD, make_outputs
+from .step import HEAD, clear, make_outputs
 from .surfaces import AddedKind, Batch, SurfaceSet, merge
 from .tables import BORN, COUNTS, DIED, SENT, Frame, frame_limits
 from .turn import ADMIT_AT_ONCE, ADMIT_BELOW, CROWDED, IDLE, PORTION, TURN
@@ -134,7 +134,7 @@ class Tracer:
         """Drop the frame with all its packets; the surfaces stay."""
         self.frame = self.limits = self.pixels = None
         self.quota, self.collecting, self.samples_left = 0, -1, False
-        self.outputs.held[:] = 0
+        clear(self.outputs)
         self.backlog.clear()
 
     def set_frame(self, frame: Frame) -> None:

@@ -4,6 +4,9 @@ An expression of `Lanes` is written like that of plain numbers and becomes the s
 every lane; LLVM makes of eight lanes one, two or four registers, whatever the processor has. No comparison is a branch.
 """
 
+# mypy: disallow-untyped-calls=False
+# numba's helpers have no types
+
 from __future__ import annotations
 
 from typing import Any
@@ -13,12 +16,13 @@ from numba.core import cgutils
 
 EIGHT = 8
 
-_LONG, _INT, _FLOAT = ir.IntType(64), ir.IntType(32), ir.DoubleType()
-_OF = {"float64": _FLOAT, "int32": _INT, "int64": _LONG}
+_LONG, _INT = ir.IntType(64), ir.IntType(32)
+_DOUBLE, _SINGLE = ir.DoubleType(), ir.FloatType()
+_OF = {"float64": _DOUBLE, "int32": _INT, "int64": _LONG}
 
 
 class Lanes:
-    """Eight numbers, or eight truths, of one type."""
+    """Eight numbers, or eight truths, of one type: binary64, int32 or int64. A plain number is in every lane."""
 
     def __init__(self, builder: Any, value: Any) -> None:
         self.builder, self.value = builder, value
@@ -27,59 +31,53 @@ class Lanes:
         return Lanes(self.builder, value)
 
     def _same(self, other: Lanes | float) -> Any:
-        """The value of other lanes, or of a constant in every lane."""
         return other.value if isinstance(other, Lanes) else ir.Constant(self.value.type, [other] * EIGHT)
 
-    @property
-    def _is_float(self) -> bool:
-        return self.value.type.element == _FLOAT
+    def _as(self, convert: str, kind: ir.Type) -> Lanes:
+        return self._with(getattr(self.builder, convert)(self.value, ir.VectorType(kind, EIGHT)))
+
+    def _do(self, of_floats: str, of_wholes: str, other: Lanes | float) -> Lanes:
+        name = of_floats if self.value.type.element == _DOUBLE else of_wholes
+        return self._with(getattr(self.builder, name)(self.value, self._same(other)))
+
+    def every(self, one: float) -> Lanes:
+        """A number of this type in every lane."""
+        return self._with(self._same(one))
+
+    # --- arithmetic ----------------------------------------------------------------------------------
 
     def __add__(self, other: Lanes | float) -> Lanes:
-        return self._with(self.builder.fadd(self.value, self._same(other)))
+        return self._do("fadd", "add", other)
 
     def __sub__(self, other: Lanes | float) -> Lanes:
-        subtract = self.builder.fsub if self._is_float else self.builder.sub
-        return self._with(subtract(self.value, self._same(other)))
+        return self._do("fsub", "sub", other)
 
     def __rsub__(self, one: float) -> Lanes:
-        return self._with(self.builder.fsub(self._same(one), self.value))
+        return self.every(one) - self
 
     def __mul__(self, other: Lanes | float) -> Lanes:
-        return self._with(self.builder.fmul(self.value, self._same(other)))
+        return self._do("fmul", "mul", other)
 
-    def __or__(self, other: Lanes) -> Lanes:
-        return self._with(self.builder.or_(self.value, other.value))
+    def __truediv__(self, other: Lanes | float) -> Lanes:
+        return self._with(self.builder.fdiv(self.value, self._same(other)))
 
-    def _compared(self, operator: str, other: Lanes | float) -> Lanes:
-        compare = self.builder.fcmp_ordered if self._is_float else self.builder.icmp_signed
-        return self._with(compare(operator, self.value, self._same(other)))
+    def __rtruediv__(self, one: float) -> Lanes:
+        return self.every(one) / self
 
-    def __lt__(self, other: Lanes | float) -> Lanes:
-        return self._compared("<", other)
+    def __neg__(self) -> Lanes:
+        return self._with(self.builder.fneg(self.value))
 
-    def __le__(self, other: Lanes | float) -> Lanes:
-        return self._compared("<=", other)
+    def __and__(self, other: Lanes | int) -> Lanes:
+        return self._with(self.builder.and_(self.value, self._same(other)))
 
-    def __ge__(self, other: Lanes | float) -> Lanes:
-        return self._compared(">=", other)
+    def __or__(self, other: Lanes | int) -> Lanes:
+        return self._with(self.builder.or_(self.value, self._same(other)))
 
-    def under(self, one: float) -> Lanes:
-        """A constant over these numbers."""
-        return self._with(self.builder.fdiv(self._same(one), self.value))
+    def __lshift__(self, places: Lanes | int) -> Lanes:
+        return self._with(self.builder.shl(self.value, self._same(places)))
 
-    def equals(self, one: float) -> Lanes:
-        """Whether these are this number."""
-        return self._compared("==", one)
-
-    def choose(self, yes: Lanes | float, no: Lanes) -> Lanes:
-        """Of truths: where they hold the one, elsewhere the other."""
-        return self._with(self.builder.select(self.value, no._same(yes), no.value))
-
-    def choose_whole(self, yes: int, no: int | Lanes) -> Lanes:
-        """Of truths: where they hold the one whole number, elsewhere the other."""
-        kind = ir.VectorType(_LONG, EIGHT)
-        other = no.value if isinstance(no, Lanes) else ir.Constant(kind, [no] * EIGHT)
-        return self._with(self.builder.select(self.value, ir.Constant(kind, [yes] * EIGHT), other))
+    def __rshift__(self, places: Lanes | int) -> Lanes:
+        return self._with(self.builder.lshr(self.value, self._same(places)))
 
     def _call(self, name: str, *others: Lanes) -> Lanes:
         kind = self.value.type
@@ -91,44 +89,103 @@ class Lanes:
         """Square roots."""
         return self._call("sqrt")
 
-    def size(self) -> Lanes:
-        """Numbers without their signs."""
+    def __abs__(self) -> Lanes:
         return self._call("fabs")
+
+    def __floor__(self) -> Lanes:
+        return self._call("floor")
+
+    def __ceil__(self) -> Lanes:
+        return self._call("ceil")
 
     def signed_as(self, other: Lanes) -> Lanes:
         """These sizes with the signs of others."""
         return self._call("copysign", other)
 
-    def as_float(self) -> Lanes:
-        """Whole numbers as binary64."""
-        return self._with(self.builder.sitofp(self.value, ir.VectorType(_FLOAT, EIGHT)))
+    # --- comparisons and choices ---------------------------------------------------------------------
 
-    def bit(self, place: int) -> Lanes:
-        """Of truths: a whole number with this bit where they hold."""
-        kind = ir.VectorType(_INT, EIGHT)
-        return self._with(self.builder.select(self.value, *(ir.Constant(kind, [n] * EIGHT) for n in (1 << place, 0))))
+    def _compared(self, operator: str, other: Lanes | float) -> Lanes:
+        floats = self.value.type.element == _DOUBLE
+        compare = self.builder.fcmp_ordered if floats else self.builder.icmp_signed
+        return self._with(compare(operator, self.value, self._same(other)))
 
-    def has_bit(self, place: Lanes) -> Lanes:
-        """Whether these whole numbers have the bits of other whole numbers set."""
-        one = ir.Constant(self.value.type, [1] * EIGHT)
-        shifted = self.builder.and_(self.builder.lshr(self.value, place.value), one)
-        return self._with(self.builder.icmp_unsigned("!=", shifted, ir.Constant(self.value.type, [0] * EIGHT)))
+    def __lt__(self, other: Lanes | float) -> Lanes:
+        return self._compared("<", other)
+
+    def __le__(self, other: Lanes | float) -> Lanes:
+        return self._compared("<=", other)
+
+    def __gt__(self, other: Lanes | float) -> Lanes:
+        return self._compared(">", other)
+
+    def __ge__(self, other: Lanes | float) -> Lanes:
+        return self._compared(">=", other)
+
+    def equals(self, other: Lanes | float) -> Lanes:
+        """Whether these are those."""
+        return self._compared("==", other)
+
+    def choose(self, yes: Lanes | float, no: Lanes) -> Lanes:
+        """Of truths: where they hold the one, elsewhere the other."""
+        return self._with(self.builder.select(self.value, no._same(yes), no.value))
 
     def lacks(self, other: Lanes) -> Lanes:
         """Of truths: where these hold and the others do not."""
         return self._with(self.builder.and_(self.value, self.builder.not_(other.value)))
 
+    def as_int(self) -> Lanes:
+        """Of truths: 1 where they hold, else 0, as int32."""
+        return self._as("zext", _INT)
 
-def least(a: Lanes, b: Lanes) -> Lanes:
-    return (b < a).choose(b, a)
+    # --- other types ---------------------------------------------------------------------------------
+
+    def as_float(self) -> Lanes:
+        """Whole numbers as binary64."""
+        return self._as("sitofp", _DOUBLE)
+
+    def as_whole(self) -> Lanes:
+        """Numbers without their fractions, which must be small, as int32."""
+        return self._as("fptosi", _INT)
+
+    def as_long(self) -> Lanes:
+        """Whole numbers that are not negative, or truths, as int64."""
+        return self._as("zext", _LONG)
+
+    def bits(self) -> Lanes:
+        """The bits of binary64."""
+        return self._as("bitcast", _LONG)
+
+    def of_bits(self) -> Lanes:
+        """The binary64 of these bits."""
+        return self._as("bitcast", _DOUBLE)
+
+    def bits_of_single(self) -> Lanes:
+        """The bits of the nearest binary32, as int64."""
+        return self._as("fptrunc", _SINGLE)._as("bitcast", _INT).as_long()
 
 
-def most(a: Lanes, b: Lanes) -> Lanes:
-    return (a < b).choose(b, a)
+def least(first: Lanes, *others: Lanes) -> Lanes:
+    """Lane by lane as Python's min."""
+    for other in others:
+        first = (other < first).choose(other, first)
+    return first
+
+
+def most(first: Lanes, *others: Lanes) -> Lanes:
+    """Lane by lane as Python's max."""
+    for other in others:
+        first = (first < other).choose(other, first)
+    return first
+
+
+def within(lanes: Lanes, low: float, high: float) -> Lanes:
+    """Numbers, or the nearest to them from low to high."""
+    raised = (lanes < low).choose(low, lanes)
+    return (raised > high).choose(high, raised)
 
 
 class Table:
-    """Rows of `length` numbers, of which eight are seen from lane `at` on."""
+    """Rows of `length` numbers of an array that is seen as flat, eight of each from place `at` of the first row on."""
 
     def __init__(self, context: Any, builder: Any, kind: Any, array: Any, at: Any, length: int) -> None:
         self._builder, self._at = builder, at
@@ -141,9 +198,15 @@ class Table:
         return self._builder.bitcast(self._builder.gep(self._data, [index]), self._vector.as_pointer())
 
     def read(self, row: int) -> Lanes:
+        """Eight numbers of a row."""
         return Lanes(self._builder, self._builder.load(self._place(row), align=self._bytes))
 
+    def read_three(self, row: int) -> list[Lanes]:
+        """Eight numbers each of three rows."""
+        return [self.read(row + axis) for axis in range(3)]
+
     def write(self, row: int, lanes: Lanes) -> None:
+        """Put eight numbers into a row."""
         self._builder.store(lanes.value, self._place(row), align=self._bytes)
 
 
@@ -153,3 +216,8 @@ def splat(builder: Any, value: Any) -> Lanes:
     nothing = ir.Constant(kind, ir.Undefined)
     first = builder.insert_element(nothing, value, ir.Constant(_INT, 0))
     return Lanes(builder, builder.shuffle_vector(first, nothing, ir.Constant(ir.VectorType(_INT, EIGHT), [0] * EIGHT)))
+
+
+def splats(builder: Any, values: Any) -> list[Lanes]:
+    """The same for each number of a tuple."""
+    return [splat(builder, value) for value in cgutils.unpack_tuple(builder, values)]

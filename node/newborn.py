@@ -1,0 +1,238 @@
+"""Secondary rays and shadow rays on their way into the world: noted when a hit bears them, written eight at once.
+
+What a hit gives birth to depends on branches that no processor foresees; where the newborn starts on the lattice, how
+its direction and weight are packed and which bytes that makes does not, but for a dozen quotients, roots and roundings
+each. So a step only notes a birth, and when it has gone over its packets all births are worked out without a branch.
+
+The operations, and their order, are those of `origin_beside`, `packets.octahedral`, `packets.put_ray` and
+`packets.put_shadow`: so are the bytes, which a test compares.
+"""
+
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
+# kernels: numba infers their types
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba.core import types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from .ahead import behind, corners
+from .compiled import part
+from .lattice import GENTLE, HALF, LIFT, SLOW, beside_ray
+from .native import put_words
+from .packets import (
+    HALF_DIRECTION,
+    LARGEST_BINARY32,
+    LARGEST_SHADOW_WEIGHT,
+    LATTICE,
+    TOO_LARGE_WEIGHT,
+    WEIGHT_BIAS,
+)
+from .vectors import EIGHT, Lanes, Table, most, splats, within
+
+BROOD = 128  # births that are noted before they are written; a multiple of EIGHT
+SHADOWS, RAYS, BROODS = 0, 1, 2
+# rows of `facts`: point, normal, direction, weight
+POINT, NORMAL, DIRECTION, WEIGHT, FACTS = 0, 3, 6, 9, 12
+# rows of `words`: the first five bytes and the light; then the packet's bytes 0-7, 8-15, 16-23 and 24, and the ports
+# behind which it starts
+HEAD, LIGHT = 0, 1
+WORD, LAST, BEHIND, WORDS = 0, 3, 4, 5
+
+
+class Newborn(NamedTuple):
+    """Births that are noted: shadow rays, then other rays, a column each; flat.
+
+    facts  float64 (BROODS * FACTS * BROOD,); words  int64 (BROODS * WORDS * BROOD,); held  int64 (BROODS,)
+    """
+
+    facts: NDArray[np.float64]
+    words: NDArray[np.int64]
+    held: NDArray[np.int64]
+
+
+def make_newborn() -> Newborn:
+    """No births."""
+    return Newborn(
+        np.zeros(BROODS * FACTS * BROOD), np.zeros(BROODS * WORDS * BROOD, np.int64), np.zeros(BROODS, np.int64)
+    )
+
+
+@part
+def origin_beside(step, p, g, d):
+    """Lattice origin of a ray born at p: lifted off the surface to the side that it goes to, then rounded.
+
+    It is moved along itself, which changes nothing of what it sees. A ray that leaves at a grazing angle would have to
+    go far, so it is lifted along the normal g by what is lacking.
+    """
+    slope = g[0] * d[0] + g[1] * d[1] + g[2] * d[2]
+    along = LIFT / max(abs(slope), GENTLE)
+    lacking = LIFT - along * abs(slope)
+    side = lacking if slope >= 0.0 else -lacking
+    start = (p[0] + along * d[0] + side * g[0], p[1] + along * d[1] + side * g[1], p[2] + along * d[2] + side * g[2])
+    return beside_ray(step, start, d, 1)
+
+
+@part
+def note(newborn, brood, head, light, p, g, d, weight):
+    """Note a birth; whether there is room for no more."""
+    j = newborn.held[brood]
+    fact, word = brood * FACTS * BROOD + j, brood * WORDS * BROOD + j
+    for axis in range(3):
+        newborn.facts[fact + (POINT + axis) * BROOD] = p[axis]
+        newborn.facts[fact + (NORMAL + axis) * BROOD] = g[axis]
+        newborn.facts[fact + (DIRECTION + axis) * BROOD] = d[axis]
+        newborn.facts[fact + (WEIGHT + axis) * BROOD] = weight[axis]
+    newborn.words[word + HEAD * BROOD], newborn.words[word + LIGHT * BROOD] = head, light
+    newborn.held[brood] = j + 1
+    return j + 1 == BROOD
+
+
+@part
+def work_out(cell, space, newborn, brood):
+    """Make the words of all that are noted of a brood."""
+    for j in range(0, newborn.held[brood], EIGHT):
+        fact, word = brood * FACTS * BROOD + j, brood * WORDS * BROOD + j
+        if brood == SHADOWS:
+            _shadow_words(newborn.facts, newborn.words, fact, word, space.step, corners(cell))
+        else:
+            _ray_words(newborn.facts, newborn.words, fact, word, space.step, corners(cell))
+
+
+@part
+def starts_behind(newborn, brood, j):
+    """Six bits: the ports behind which a newborn starts."""
+    return newborn.words[(brood * WORDS + BEHIND) * BROOD + j]
+
+
+@part
+def put(newborn, brood, j, row, at):
+    """Write the packet of a newborn that was worked out."""
+    words, first = newborn.words, brood * WORDS * BROOD + j
+    put_words(row, at, words[first], words[first + BROOD], words[first + 2 * BROOD])
+    row[at + 24] = np.uint8(words[first + LAST * BROOD])
+
+
+# --- eight at once -------------------------------------------------------------------------------------
+
+
+def _nearest(point: Lanes, step: Lanes) -> Lanes:
+    """As `lattice.nearest`, int32."""
+    return within(math.floor(point / step + 0.5) + float(HALF), 0.0, LATTICE - 1.0).as_whole()
+
+
+def _origins(facts: Table, direction: list[Lanes], step: list[Lanes]) -> list[Lanes]:
+    """As `origin_beside`."""
+    p, g, d = facts.read_three(POINT), facts.read_three(NORMAL), direction
+    slope = g[0] * d[0] + g[1] * d[1] + g[2] * d[2]
+    size = abs(slope)
+    along = LIFT / most(size, size.every(GENTLE))
+    lacking = LIFT - along * size
+    side = (slope >= 0.0).choose(lacking, -lacking)
+    start = [p[axis] + along * d[axis] + side * g[axis] for axis in range(3)]
+    # as `lattice.beside_ray` with one try
+    places = [start[axis] / step[axis] for axis in range(3)]
+    speeds = [d[axis] / step[axis] for axis in range(3)]
+    worth = [(abs(d[axis]) >= SLOW).choose(abs(d[axis]) * step[axis], d[axis].every(0.0)) for axis in range(3)]
+    by_x, by_y = worth[0] >= most(worth[1], worth[2]), worth[1] >= worth[2]
+    place, speed = (by_x.choose(of[0], by_y.choose(of[1], of[2])) for of in (places, speeds))
+    up, down = math.ceil(place), math.floor(place)
+    t = ((speed > 0.0).choose(up, down) - place) * (1.0 / speed)
+    return [_nearest(start[axis] + t * d[axis], step[axis]) for axis in range(3)]
+
+
+def _octahedral(d: list[Lanes]) -> list[Lanes]:
+    """As `packets.octahedral`, int32."""
+    scale = 1.0 / (abs(d[0]) + abs(d[1]) + abs(d[2]))
+    u, v = d[0] * scale, d[1] * scale
+    one = u.every(1.0)
+    folded = ((1.0 - abs(v)) * one.signed_as(u), (1.0 - abs(u)) * one.signed_as(v))
+    codes = []
+    for plain, other in zip((u, v), folded, strict=True):
+        code = math.floor((d[2] < 0.0).choose(other, plain) * float(HALF_DIRECTION) + 0.5)
+        codes.append(within(code + float(HALF_DIRECTION), 0.0, 2.0 * HALF_DIRECTION).as_whole())
+    return codes
+
+
+def _weight(weight: list[Lanes]) -> Lanes:
+    """As `packets.pack_weight`, int64."""
+    largest = most(*weight)
+    e = (largest.bits() >> 52) - 1022 + WEIGHT_BIAS  # of binary64: f * 2^e with 0.5 <= f < 1
+    e = (e < 0).choose(0, e)
+    e = (largest < TOO_LARGE_WEIGHT).choose(e, e.every(127))
+    rounds_up = (largest * _unit(e) + 0.5 >= 2048.0).as_long()
+    e = e + (e < 127).choose(rounds_up, e.every(0))
+    unit = _unit(e)
+    r, g, b = (_lower(one * unit + 0.5, 2047.0).as_whole().as_long() for one in weight)
+    return (largest > 0.0).choose(r | g << 11 | b << 22 | e << 33, e.every(0))
+
+
+def _lower(lanes: Lanes, high: float) -> Lanes:
+    """min(lanes, high)."""
+    return (lanes > high).choose(high, lanes)
+
+
+def _unit(e: Lanes) -> Lanes:
+    """2^(WEIGHT_BIAS + 11 - e), `packets.WEIGHT_INVERSE_UNIT`."""
+    return ((1023 + WEIGHT_BIAS + 11 - e) << 52).of_bits()
+
+
+def _shadow_weight(value: Lanes) -> Lanes:
+    """As `packets.pack_shadow_weight`, int64."""
+    bits = _lower(value, LARGEST_BINARY32).bits_of_single() + 64
+    most_bits = int(LARGEST_SHADOW_WEIGHT)
+    return (value > 0.0).choose((bits > most_bits).choose(most_bits, bits) >> 7, bits.every(0))
+
+
+def _of_ray(facts: Table, words: Table, direction: list[Lanes]) -> tuple[Lanes, Lanes, Lanes]:
+    """Bytes 14 and 15, 16 to 23, and 24 of a ray, as numbers."""
+    a, b = (code.as_long() for code in _octahedral(direction))
+    weight = _weight(facts.read_three(WEIGHT))
+    return a & 0xFFFF, a >> 16 | b << 8 | weight << 32, weight >> 32
+
+
+def _of_shadow(facts: Table, words: Table, direction: list[Lanes]) -> tuple[Lanes, Lanes, Lanes]:
+    """Bytes 14 and 15, 16 to 23, and 24 of a shadow ray, as numbers."""
+    red, green, blue = (_shadow_weight(one) for one in facts.read_three(WEIGHT))
+    return words.read(LIGHT), red | green << 24 | blue << 48, blue >> 16
+
+
+def _words(rest_of: Any) -> Any:
+    """The intrinsic that makes the words of eight packets of which the rest, from byte 14 on, is found like this."""
+
+    def intrinsic_function(typingctx: Any, facts: Any, words: Any, fact: Any, word: Any, step: Any, edges: Any) -> Any:
+        """Make the words of eight packets, whose columns begin at place `fact` of the facts and `word` of the words.
+
+        step  three float64; edges  six int32, the cell's corners
+        """
+
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            known = Table(context, builder, signature.args[0], args[0], args[2], BROOD)
+            made = Table(context, builder, signature.args[1], args[1], args[3], BROOD)
+            steps, cell = (splats(builder, packed) for packed in args[4:])
+            direction = known.read_three(DIRECTION)
+            origin = _origins(known, direction, steps)
+            x, y, z = (at.as_long() for at in origin)
+            two, eight, last = rest_of(known, made, direction)
+            head = made.read(HEAD)
+            made.write(WORD, head | x << 40)
+            made.write(WORD + 1, y | z << 24 | two << 48)
+            made.write(WORD + 2, eight)
+            made.write(LAST, last)
+            made.write(BEHIND, behind(origin, cell).as_long())
+            return context.get_dummy_value()
+
+        tuples = types.UniTuple(types.float64, 3), types.UniTuple(types.int32, 6)
+        return types.void(facts, words, types.int64, types.int64, *tuples), codegen
+
+    return intrinsic(intrinsic_function)
+
+
+# kernels call them without the first argument
+_ray_words: Any = _words(_of_ray)
+_shadow_words: Any = _words(_of_shadow)
