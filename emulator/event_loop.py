@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.node.births import _bear
+from raygrid.node.births import bear_sample
 from raygrid.node.compiled import lean, part
 from raygrid.node.lattice import Cell, coordinate
-from raygrid.node.packets import KINDS, PIXEL, PRIMARY, RETURN, SIZE, pack_weight, put_pixel
+from raygrid.node.packets import KINDS, PIXEL, PRIMARY, RETURN, SIZE, put_pixel
 from raygrid.node.step import HEAD
 from raygrid.node.tables import BORN, COUNTS, DIED, Surfaces
 from raygrid.node.timed import (
@@ -186,7 +186,7 @@ def held_by(surfaces, first, last):
 
 
 @part
-def _bear_next(timed, k, tick, cell, space, frame, pixels, births, scratch, watch, prices):
+def _bear_next(timed, k, tick, cell, space, frame, pixels, births, scratch, watch, outputs, prices):
     """The next ray or pixel packet of a node."""
     number = np.int64(births.samples[timed.nodes[k, NEXT_BIRTH]])
     timed.nodes[k, NEXT_BIRTH] += 1
@@ -199,8 +199,8 @@ def _bear_next(timed, k, tick, cell, space, frame, pixels, births, scratch, watc
         pixel = number // frame.samples
         j = pixel // frame.width
         i, sample = pixel - j * frame.width, number - pixel * frame.samples
-        white = pack_weight(1.0, 1.0, 1.0)
-        watch.total[BORN + PRIMARY] += _bear(cell, space, frame, pixels, i, j, pixel, sample, scratch, 0, white)
+        made = bear_sample(cell, space, frame, pixels, i, j, pixel, sample, scratch, outputs.seen)
+        watch.total[BORN + PRIMARY] += made
         born(timed, k, tick, scratch, 0, prices.counts[BORN + PRIMARY])
 
 
@@ -275,7 +275,7 @@ def run(timed, wheel, watch, space, frame, surfaces, roots, pixels, births, scra
                 here = held_by(surfaces, roots[k, 0], roots[k, 1])
                 _serve_next(timed, k, tick, wheel, watch, cell, space, frame, here, pixels, outputs, counts, prices)
             else:
-                _bear_next(timed, k, tick, cell, space, frame, pixels, births, scratch, watch, prices)
+                _bear_next(timed, k, tick, cell, space, frame, pixels, births, scratch, watch, outputs, prices)
                 _count_time(watch, wheel, SERVICES, tick, timed.nodes[k, FREE])
             tick = decides(timed, k, timed.nodes[k, NEXT_BIRTH] < timed.nodes[k, LAST_BIRTH])
         if tick < NEVER:

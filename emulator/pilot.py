@@ -163,7 +163,9 @@ def _trace(space: Space, cell: Cell, frame: Frame, surfaces: Surfaces) -> Rays:
     counts, ports = np.zeros(COUNTS, np.int64), np.full(CHUNK, SELF, np.uint8)
     room = frame.width * frame.height
     first = np.zeros(room * SIZE, np.uint8)
-    born = bear_primaries(cell, space, frame, pixels, new_cursor(len(pixels.first) > 0), first, 0, room, counts)
+    born = bear_primaries(
+        cell, space, frame, pixels, new_cursor(len(pixels.first) > 0), first, 0, room, outputs.seen, counts
+    )
     waiting = _pieces(first[: born * SIZE])
     found: list[Rays] = [_no_rays(0)]
     total = 0

@@ -90,7 +90,9 @@ class SingleStep:
         pixel, number = divmod(sample, frame.samples)
         j, i = divmod(pixel, frame.width)
         packet = np.zeros(SIZE, np.uint8)
-        made = bear_primary(node.cell, self.space, node.frame, node.pixels, i, j, number, packet, node.counts)
+        made = bear_primary(
+            node.cell, self.space, node.frame, node.pixels, i, j, number, packet, self._outputs.seen, node.counts
+        )
         return packet.tobytes() if made else None
 
     def bear_next(self, index: Index) -> bytes | None:
@@ -99,7 +101,9 @@ class SingleStep:
         if node.cursor[DONE]:
             return None
         packet = np.zeros(SIZE, np.uint8)
-        made = bear_primaries(node.cell, self.space, node.frame, node.pixels, node.cursor, packet, 0, 1, node.counts)
+        made = bear_primaries(
+            node.cell, self.space, node.frame, node.pixels, node.cursor, packet, 0, 1, self._outputs.seen, node.counts
+        )
         return packet.tobytes() if made else None
 
     def stored(self, index: Index, pixel: int) -> Units:

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from .camera import entry, eye_ray, image_point, primary_origin
+from .camera import image_point
 from .compiled import lean, part
-from .packets import PRIMARY, SIZE, octahedral, pack_weight, put_ray
+from .eyes import LOT, PLACE, is_at_home, note_primary, put_primary, work_out_primaries
+from .packets import PRIMARY, SIZE
 from .pixels import slot
 from .tables import BORN
-from .walk import NO_PORT, towards_start
 
 COARSEST = 3  # log2 of the stride of the first level
 # fields of the cursor
@@ -31,14 +31,23 @@ def new_cursor(has_pixels: bool) -> np.ndarray:
 
 
 @lean
-def bear_primaries(cell, space, frame, pixels, cursor, packets, first, room, counts):
+def bear_primaries(cell, space, frame, pixels, cursor, packets, first, room, seen, counts):
     """Write up to `room` primary rays to `packets` (uint8) from packet number `first`; returns how many.
 
-    `cursor` keeps the place between calls; cursor[DONE] is 1 when no sample is left.
+    `cursor` keeps the place between calls; cursor[DONE] is 1 when no sample is left. `seen`: scratch (`node.eyes`).
     """
     made = 0
-    white = pack_weight(1.0, 1.0, 1.0)
     while made < room and cursor[DONE] == 0:
+        _note_samples(frame, pixels, cursor, min(LOT, room - made), seen)
+        made += _bear_noted(cell, space, frame, pixels, packets, first + made, seen)
+    counts[BORN + PRIMARY] += made
+    return made
+
+
+@part
+def _note_samples(frame, pixels, cursor, many, seen):
+    """Note the next samples of the store, at most `many`, and move the cursor behind them."""
+    while seen.held[0] < many and cursor[DONE] == 0:
         level, row = cursor[LEVEL], cursor[ROW]
         j = pixels.first_row + row
         stride = 1 << level
@@ -48,11 +57,9 @@ def bear_primaries(cell, space, frame, pixels, cursor, packets, first, room, cou
             coarser = level < COARSEST and j % (2 * stride) == 0
             i = max(cursor[COLUMN], begin)
             i += (stride - i % stride) % stride
-            while i < end and made < room:
+            while i < end and seen.held[0] < many:
                 if not (coarser and i % (2 * stride) == 0):
-                    place = pixels.offsets[row] + i - pixels.first[row]
-                    to = (first + made) * SIZE
-                    made += _bear(cell, space, frame, pixels, i, j, place, cursor[NUMBER], packets, to, white)
+                    _note(frame, i, j, pixels.offsets[row] + i - pixels.first[row], cursor[NUMBER], seen)
                 i += stride
             cursor[COLUMN] = i
             if i < end:
@@ -61,7 +68,29 @@ def bear_primaries(cell, space, frame, pixels, cursor, packets, first, room, cou
         cursor[ROW] += 1
         if cursor[ROW] >= len(pixels.first):
             _next_level(frame, cursor)
-    counts[BORN + PRIMARY] += made
+
+
+@part
+def _note(frame, i, j, place, number, seen):
+    """Note one sample. `place`: of its pixel in the store."""
+    sample = (j * frame.width + i) * frame.samples + number
+    x, y = np.float64(i), np.float64(j)
+    if frame.samples > 1:
+        x, y = image_point(sample, frame.width, frame.samples)
+    note_primary(seen, x, y, sample, place)
+
+
+@part
+def _bear_noted(cell, space, frame, pixels, packets, first, seen):
+    """Write the primary rays of those samples that were noted whose home is here; returns how many."""
+    work_out_primaries(cell, space, frame, seen)
+    made = 0
+    for j in range(seen.held[0]):
+        if is_at_home(seen, j):
+            put_primary(seen, j, packets, (first + made) * SIZE)
+            pixels.samples[seen.words[PLACE * LOT + j]] += 1
+            made += 1
+    seen.held[0] = 0
     return made
 
 
@@ -77,25 +106,15 @@ def _next_level(frame, cursor):
 
 
 @part
-def _bear(cell, space, frame, pixels, i, j, place, number, packets, to, white):
-    """Write the primary ray of one sample if its home is here; returns 1 or 0. `place`: of its pixel in the store."""
-    sample = (j * frame.width + i) * frame.samples + number
-    x, y = np.float64(i), np.float64(j)
-    if frame.samples > 1:
-        x, y = image_point(sample, frame.width, frame.samples)
-    origin, direction = eye_ray(frame.camera, x, y)
-    enters, point, near = entry(space.step, origin, direction)
-    if not enters or towards_start(cell, point) != NO_PORT:
-        return 0
-    start = primary_origin(space.step, origin, direction, near)
-    put_ray(packets, to, PRIMARY, 1, sample, start, octahedral(direction[0], direction[1], direction[2]), white)
-    pixels.samples[place] += 1
-    return 1
+def bear_sample(cell, space, frame, pixels, i, j, place, number, packet, seen):
+    """As `bear_primary`, of a pixel at this place in the store, and uncounted."""
+    _note(frame, i, j, place, number, seen)
+    return _bear_noted(cell, space, frame, pixels, packet, 0, seen)
 
 
 @lean
-def bear_primary(cell, space, frame, pixels, i, j, number, packet, counts):
+def bear_primary(cell, space, frame, pixels, i, j, number, packet, seen, counts):
     """Write the primary ray of one sample of pixel (i, j) to `packet` if its home is here; returns 1 or 0."""
-    made = _bear(cell, space, frame, pixels, i, j, slot(pixels, i, j), number, packet, 0, pack_weight(1.0, 1.0, 1.0))
+    made = bear_sample(cell, space, frame, pixels, i, j, slot(pixels, i, j), number, packet, seen)
     counts[BORN + PRIMARY] += made
     return made

@@ -103,12 +103,3 @@ def home(space, point):
         cell_index(space.planes, 1, space.shape[1], point[1]),
         cell_index(space.planes, 2, space.shape[2], point[2]),
     )
-
-
-@part
-def home_of_sample(frame, space, sample):
-    """The cell that is home to a sample whose ray enters the world box."""
-    i, j = image_point(sample, frame.width, frame.samples)
-    origin, direction = eye_ray(frame.camera, i, j)
-    _, point, _ = entry(space.step, origin, direction)
-    return home(space, point)

@@ -121,7 +121,7 @@ def put(newborn, brood, j, row, at):
 # --- eight at once -------------------------------------------------------------------------------------
 
 
-def _nearest(point: Lanes, step: Lanes) -> Lanes:
+def nearest_eight(point: Lanes, step: Lanes) -> Lanes:
     """As `lattice.nearest`, int32."""
     return within(math.floor(point / step + 0.5) + float(HALF), 0.0, LATTICE - 1.0).as_whole()
 
@@ -135,18 +135,21 @@ def _origins(facts: Table, direction: list[Lanes], step: list[Lanes]) -> list[La
     lacking = LIFT - along * size
     side = (slope >= 0.0).choose(lacking, -lacking)
     start = [p[axis] + along * d[axis] + side * g[axis] for axis in range(3)]
-    # as `lattice.beside_ray` with one try
-    places = [start[axis] / step[axis] for axis in range(3)]
-    speeds = [d[axis] / step[axis] for axis in range(3)]
+    places, speeds = ([of[axis] / step[axis] for axis in range(3)] for of in (start, d))
+    t, _ = next_on_lattice(places, speeds, d, step)  # as `lattice.beside_ray` with one try
+    return [nearest_eight(start[axis] + t * d[axis], step[axis]) for axis in range(3)]
+
+
+def next_on_lattice(places: list[Lanes], speeds: list[Lanes], d: list[Lanes], step: list[Lanes]) -> tuple[Lanes, Lanes]:
+    """Of the axis that is worth most on the lattice, as in `lattice.beside_ray`: when the ray next has a coordinate of it
+    on the lattice, and how fast it is, in steps."""
     worth = [(abs(d[axis]) >= SLOW).choose(abs(d[axis]) * step[axis], d[axis].every(0.0)) for axis in range(3)]
     by_x, by_y = worth[0] >= most(worth[1], worth[2]), worth[1] >= worth[2]
     place, speed = (by_x.choose(of[0], by_y.choose(of[1], of[2])) for of in (places, speeds))
-    up, down = math.ceil(place), math.floor(place)
-    t = ((speed > 0.0).choose(up, down) - place) * (1.0 / speed)
-    return [_nearest(start[axis] + t * d[axis], step[axis]) for axis in range(3)]
+    return ((speed > 0.0).choose(math.ceil(place), math.floor(place)) - place) * (1.0 / speed), speed
 
 
-def _octahedral(d: list[Lanes]) -> list[Lanes]:
+def octahedral_eight(d: list[Lanes]) -> list[Lanes]:
     """As `packets.octahedral`, int32."""
     scale = 1.0 / (abs(d[0]) + abs(d[1]) + abs(d[2]))
     u, v = d[0] * scale, d[1] * scale
@@ -191,7 +194,7 @@ def _shadow_weight(value: Lanes) -> Lanes:
 
 def _of_ray(facts: Table, words: Table, direction: list[Lanes]) -> tuple[Lanes, Lanes, Lanes]:
     """Bytes 14 and 15, 16 to 23, and 24 of a ray, as numbers."""
-    a, b = (code.as_long() for code in _octahedral(direction))
+    a, b = (code.as_long() for code in octahedral_eight(direction))
     weight = _weight(facts.read_three(WEIGHT))
     return a & 0xFFFF, a >> 16 | b << 8 | weight << 32, weight >> 32
 

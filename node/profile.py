@@ -181,7 +181,16 @@ class Profile:
         cursor = new_cursor(True)
         begun = time.thread_time()
         self._births += bear_primaries(
-            tracer.cell, tracer.space, tracer.frame, pixels, cursor, self._scratch, 0, BIRTHS, self._counts
+            tracer.cell,
+            tracer.space,
+            tracer.frame,
+            pixels,
+            cursor,
+            self._scratch,
+            0,
+            BIRTHS,
+            tracer.outputs.seen,
+            self._counts,
         )
         self._sampled["birth"] += time.thread_time() - begun
 

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .ahead import AHEAD, ASTRAY, Ahead, column, make_ahead, read_ahead, set_up_ahead
-from .camera import home_of_sample
+from .camera import home
 from .compiled import lean, part
+from .eyes import Seen, entered_at, make_seen, note_return, noted_return, work_out_returns
 from .lattice import T_MIN
 from .newborn import RAYS as RAY_BROOD
 from .newborn import SHADOWS as SHADOW_BROOD
@@ -78,7 +79,7 @@ HEAD = 20  # bytes kept free at the head of every output for the link's header
 class Outputs(NamedTuple):
     """Where a step writes: bytes uint8 (OUTPUTS, HEAD + room * SIZE), packets held int64 (OUTPUTS,), and scratch.
 
-    stack  int64, keys of the hierarchy; ahead  rays that are set up; newborn  births that are noted
+    stack  int64, keys of the hierarchy; ahead  rays that are set up; newborn, seen  births that are noted
     """
 
     data: NDArray[np.uint8]
@@ -86,6 +87,7 @@ class Outputs(NamedTuple):
     stack: NDArray[np.int64]
     ahead: Ahead
     newborn: Newborn
+    seen: Seen
 
 
 def make_outputs(room: int, stack: int) -> Outputs:
@@ -96,6 +98,7 @@ def make_outputs(room: int, stack: int) -> Outputs:
         np.zeros(stack, np.int64),
         make_ahead(),
         make_newborn(),
+        make_seen(),
     )
 
 
@@ -103,6 +106,7 @@ def clear(outputs: Outputs) -> None:
     """Forget what outputs hold."""
     outputs.held[:] = 0
     outputs.newborn.held[:] = 0
+    outputs.seen.held[:] = 0
 
 
 @part
@@ -122,19 +126,31 @@ def _hand_on(packets, at, output, outputs, counts):
 
 @part
 def _give_back(cell, space, frame, pixels, sample, depth, red, green, blue, outputs, counts):
-    """Bear a return packet; if its home is here it dies at once, in the pixel store."""
+    """Bear a return packet, unless it would bring nothing; all are written if there is room to note no more."""
     intensity = (np.float32(red), np.float32(green), np.float32(blue))
     if not (intensity[0] > 0.0 or intensity[1] > 0.0 or intensity[2] > 0.0):
         return
-    home = home_of_sample(frame, space, sample)
     counts[BORN + RETURN] += 1
     counts[HOMES] += 1
-    port = towards_cell(cell.index, home)
-    if port == NO_PORT:
-        _keep(frame, pixels, sample, intensity, counts)
-        return
-    row, at = _claim(outputs, port, counts)
-    put_return(row, at, depth, sample, intensity, home)
+    if note_return(outputs.seen, frame, sample, depth, intensity):
+        _write_returns(cell, space, frame, pixels, outputs, counts)
+
+
+@part
+def _write_returns(cell, space, frame, pixels, outputs, counts):
+    """Send home all return packets that are noted; those whose home is here die at once, in the pixel store."""
+    seen = outputs.seen
+    work_out_returns(space, frame, seen)
+    for j in range(seen.held[0]):
+        sample, depth, intensity = noted_return(seen, j)
+        there = home(space, entered_at(seen, j))
+        port = towards_cell(cell.index, there)
+        if port == NO_PORT:
+            _keep(frame, pixels, sample, intensity, counts)
+        else:
+            row, at = _claim(outputs, port, counts)
+            put_return(row, at, depth, sample, intensity, there)
+    seen.held[0] = 0
 
 
 @part
@@ -178,10 +194,11 @@ def _write_newborn(cell, space, brood, outputs, counts):
 
 
 @part
-def _write_all_newborn(cell, space, outputs, counts):
-    """Put all births that are noted on the outputs."""
+def _write_all_noted(cell, space, frame, pixels, outputs, counts):
+    """Put all that is noted on the outputs."""
     _write_newborn(cell, space, SHADOW_BROOD, outputs, counts)
     _write_newborn(cell, space, RAY_BROOD, outputs, counts)
+    _write_returns(cell, space, frame, pixels, outputs, counts)
 
 
 @part
@@ -374,7 +391,7 @@ def step_one(cell, space, frame, surfaces, pixels, packets, at, port, outputs, c
         _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, outputs, counts)
     else:
         _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, outputs, counts)
-        _write_all_newborn(cell, space, outputs, counts)
+    _write_all_noted(cell, space, frame, pixels, outputs, counts)
 
 
 @part
@@ -406,8 +423,7 @@ def _step_each(cell, space, frame, surfaces, pixels, packets, first, last, what,
         else:
             kind = np.int64(packets[at]) & 7
             _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, outputs, counts)
-    if what == WALKS_ON:
-        _write_all_newborn(cell, space, outputs, counts)
+    _write_all_noted(cell, space, frame, pixels, outputs, counts)
 
 
 @part

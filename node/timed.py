@@ -318,7 +318,10 @@ def advance(
             return FULL
         gather(timed, 0, tick)
         if timed.nodes[0, WAITING] == 0:
-            if cursor[DONE] == 0 and bear_primaries(cell, space, frame, pixels, cursor, scratch, 0, 1, total) == 1:
+            if (
+                cursor[DONE] == 0
+                and bear_primaries(cell, space, frame, pixels, cursor, scratch, 0, 1, outputs.seen, total) == 1
+            ):
                 born(timed, 0, tick, scratch, 0, prices.counts[BORN + PRIMARY])
             continue
         slot = take(timed, 0, tick)

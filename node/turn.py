@@ -77,7 +77,9 @@ def turn(cell, space, frame, surfaces, pixels, cursor, quota, pace, stacks, held
             many = min(quota, min(pace[2], len(stacks.ray_ports) - held[RAYS]))
             if many == 0:
                 return quota, CROWDED, served
-            made = bear_primaries(cell, space, frame, pixels, cursor, stacks.rays, held[RAYS], many, counts)
+            made = bear_primaries(
+                cell, space, frame, pixels, cursor, stacks.rays, held[RAYS], many, outputs.seen, counts
+            )
             for k in range(held[RAYS], held[RAYS] + made):
                 stacks.ray_ports[k] = SELF
             held[RAYS] += made

@@ -98,6 +98,9 @@ class Lanes:
     def __ceil__(self) -> Lanes:
         return self._call("ceil")
 
+    def __trunc__(self) -> Lanes:
+        return self._call("trunc")
+
     def signed_as(self, other: Lanes) -> Lanes:
         """These sizes with the signs of others."""
         return self._call("copysign", other)

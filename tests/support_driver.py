@@ -89,7 +89,9 @@ class Grid:
     def _bear(self, node: Node) -> None:
         room = 4096 if self.schedule is None else int(self.schedule.choice([1, 100, 4096]))
         buffer = np.zeros(room * SIZE, np.uint8)
-        made = bear_primaries(node.cell, self.space, self.frame, node.pixels, node.cursor, buffer, 0, room, node.counts)
+        made = bear_primaries(
+            node.cell, self.space, self.frame, node.pixels, node.cursor, buffer, 0, room, self.outputs.seen, node.counts
+        )
         node.receive(buffer.reshape(-1, SIZE)[:made].copy(), SELF)
 
     def _serve(self, node: Node) -> None:

@@ -13,6 +13,7 @@ from support_space import UNEVEN_STEP, Index, even_space, indices, uneven_space
 from raygrid.node import packets
 from raygrid.node.births import DONE, bear_primaries, new_cursor
 from raygrid.node.camera import TRIES
+from raygrid.node.eyes import make_seen
 from raygrid.node.lattice import HALF, LONGEST_STEP, SLOW, Space, coordinate, make_cell
 from raygrid.node.pixels import Pixels, make_pixels, slot
 from raygrid.node.tables import BORN, COUNTS, Frame
@@ -33,7 +34,7 @@ def born(frame: Frame, space: Space, index: Index, room: int = 10_000) -> tuple[
     cursor, counts, found = new_cursor(len(pixels.first) > 0), np.zeros(COUNTS, np.int64), []
     buffer = np.zeros((room + 3) * packets.SIZE, np.uint8)
     while cursor[DONE] == 0:
-        made = bear_primaries(cell, space, frame, pixels, cursor, buffer, 2, room, counts)
+        made = bear_primaries(cell, space, frame, pixels, cursor, buffer, 2, room, make_seen(), counts)
         assert made <= room
         assert made == room or cursor[DONE] == 1
         data = buffer.tobytes()

@@ -1,0 +1,228 @@
+"""Rays from the eye, eight at once: primaries that may be born, and the homes of return packets.
+
+Both begin with the ray of a sample and the point at which it enters the world box. The operations, and their order,
+are those of `camera.eye_ray`, `camera.entry`, `camera.primary_origin` and `packets.put_ray`: so are the bits, which a
+test compares.
+"""
+
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
+# kernels: numba infers their types
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba.core import types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from .ahead import behind, corners
+from .camera import TRIES, image_point
+from .compiled import part
+from .lattice import FINE, HALF, LONGEST_STEP
+from .native import put_words
+from .newborn import nearest_eight, next_on_lattice, octahedral_eight
+from .packets import PRIMARY, pack_weight
+from .vectors import EIGHT, Lanes, Table, least, most, splat, splats
+from .walk import HUGE
+
+LOT = 128  # samples that are noted before they are worked out; a multiple of EIGHT
+# rows of `facts`: the point in the image, an intensity
+X, Y, INTENSITY, FACTS = 0, 1, 2, 5
+# rows of `words`: the first five bytes of a packet, the place in the store of its pixel; then of a primary the packet's
+# bytes 0-7, 8-15, 16-23 and 24, and the ports behind which it enters, or a number below 0; of a return the point where
+# its sample's ray enters
+HEAD, PLACE = 0, 1
+WORD, LAST, BEHIND, POINT, WORDS = 2, 5, 6, 2, 7
+WHITE = int(pack_weight(1.0, 1.0, 1.0))
+NOWHERE = -1
+CAMERA = 18  # numbers of a camera
+
+
+class Seen(NamedTuple):
+    """Samples that are noted, a column each; flat.
+
+    facts  float64 (FACTS * LOT,); words  int64 (WORDS * LOT,); held  int64 (1,)
+    """
+
+    facts: NDArray[np.float64]
+    words: NDArray[np.int64]
+    held: NDArray[np.int64]
+
+
+def make_seen() -> Seen:
+    """No samples."""
+    return Seen(np.zeros(FACTS * LOT), np.zeros(WORDS * LOT, np.int64), np.zeros(1, np.int64))
+
+
+# --- primaries -----------------------------------------------------------------------------------------
+
+
+@part
+def note_primary(seen, x, y, sample, place):
+    """Note a sample whose ray may be born; `place`: of its pixel in the store."""
+    j = seen.held[0]
+    seen.facts[X * LOT + j], seen.facts[Y * LOT + j] = x, y
+    seen.words[HEAD * LOT + j], seen.words[PLACE * LOT + j] = PRIMARY | (1 << 3) | (sample << 8), place
+    seen.held[0] = j + 1
+
+
+@part
+def work_out_primaries(cell, space, frame, seen):
+    """Make the words of all that are noted."""
+    for j in range(0, seen.held[0], EIGHT):
+        _primary_words(seen.facts, seen.words, j, frame.camera, space.step, corners(cell))
+
+
+@part
+def is_at_home(seen, j):
+    """Whether the ray of a sample that was worked out enters the world box in this cell."""
+    return seen.words[BEHIND * LOT + j] == 0
+
+
+@part
+def put_primary(seen, j, row, at):
+    """Write the packet of a sample that was worked out."""
+    words = seen.words
+    put_words(row, at, words[WORD * LOT + j], words[(WORD + 1) * LOT + j], words[(WORD + 2) * LOT + j])
+    row[at + 24] = np.uint8(words[LAST * LOT + j])
+
+
+# --- homes of returns ----------------------------------------------------------------------------------
+
+
+@part
+def note_return(seen, frame, sample, depth, intensity):
+    """Note a return packet to be born; whether there is room for no more."""
+    j = seen.held[0]
+    x, y = image_point(sample, frame.width, frame.samples)
+    seen.facts[X * LOT + j], seen.facts[Y * LOT + j] = x, y
+    for k in range(3):
+        seen.facts[(INTENSITY + k) * LOT + j] = intensity[k]
+    seen.words[HEAD * LOT + j] = (depth << 32) | sample
+    seen.held[0] = j + 1
+    return j + 1 == LOT
+
+
+@part
+def work_out_returns(space, frame, seen):
+    """Find where the rays of all samples that are noted enter the world box."""
+    for j in range(0, seen.held[0], EIGHT):
+        _entries(seen.facts, seen.words, j, frame.camera, space.step)
+
+
+@part
+def entered_at(seen, j):
+    """Lattice point at which the ray of a sample that was worked out enters the world box."""
+    words = seen.words
+    return words[POINT * LOT + j], words[(POINT + 1) * LOT + j], words[(POINT + 2) * LOT + j]
+
+
+@part
+def noted_return(seen, j):
+    """(sample, depth, intensity) of a return packet that was noted."""
+    head, facts = seen.words[HEAD * LOT + j], seen.facts
+    intensity = (
+        np.float32(facts[INTENSITY * LOT + j]),
+        np.float32(facts[(INTENSITY + 1) * LOT + j]),
+        np.float32(facts[(INTENSITY + 2) * LOT + j]),
+    )
+    return head & 0xFFFFFFFF, head >> 32, intensity
+
+
+# --- eight at once -------------------------------------------------------------------------------------
+
+
+def _eye_ray(camera: list[Lanes], x: Lanes, y: Lanes) -> tuple[list[Lanes], list[Lanes]]:
+    """As `camera.eye_ray`."""
+    origin, (u, v, w) = (
+        [camera[row + axis] + x * camera[row + 3 + axis] + y * camera[row + 6 + axis] for axis in range(3)]
+        for row in (0, 9)
+    )
+    scale = 1.0 / (u * u + v * v + w * w).root()
+    return origin, [u * scale, v * scale, w * scale]
+
+
+def _entry(origin: list[Lanes], direction: list[Lanes], step: list[Lanes]) -> tuple[Lanes, list[Lanes], list[Lanes]]:
+    """As `camera.entry`: (enters, lattice point, the point itself)."""
+    nears, fars = [], []
+    for at, d, one in zip(origin, direction, step, strict=True):
+        inverse, half = (abs(d) < 1.0 / HUGE).choose(HUGE, 1.0 / d), one * float(HALF)
+        a, b = (-half - at) * inverse, (half - at) * inverse
+        nears.append((inverse >= 0.0).choose(a, b))
+        fars.append((inverse >= 0.0).choose(b, a))
+    near = most(nears[0], most(nears[1], most(nears[2], nears[2].every(0.0))))
+    far = least(fars[0], least(fars[1], fars[2]))
+    point = [origin[axis] + near * direction[axis] for axis in range(3)]
+    return near <= far, [nearest_eight(point[axis], step[axis]) for axis in range(3)], point
+
+
+def _beside_ray(p: list[Lanes], d: list[Lanes], step: list[Lanes]) -> list[Lanes]:
+    """As `lattice.beside_ray` with TRIES tries."""
+    places, speeds = ([of[axis] / step[axis] for axis in range(3)] for of in (p, d))
+    first, speed = next_on_lattice(places, speeds, d, step)
+    inverse = 1.0 / speed
+    stride = most(speed.every(1.0), math.floor(abs(speed) * LONGEST_STEP)) * abs(inverse)
+    least_aside, t = first.every(float("inf")), first
+    for k in range(TRIES):
+        after = first + stride * float(k)
+        rests = []
+        for axis in range(3):
+            at = places[axis] + after * speeds[axis]
+            rests.append((at - math.floor(at + 0.5)) * step[axis])
+        a, b, c = rests
+        along = a * d[0] + b * d[1] + c * d[2]
+        aside = math.trunc((a * a + b * b + c * c - along * along) * FINE)
+        better = aside < least_aside
+        least_aside, t = better.choose(aside, least_aside), better.choose(after, t)
+    return [nearest_eight(p[axis] + t * d[axis], step[axis]) for axis in range(3)]
+
+
+def _tables(context: Any, builder: Any, signature: Any, args: Any) -> tuple[Table, Table, list[Lanes], list[Lanes]]:
+    """Facts, words, camera and step among the arguments of an intrinsic."""
+    facts, words = (Table(context, builder, signature.args[k], args[k], args[2], LOT) for k in range(2))
+    camera = context.make_array(signature.args[3])(context, builder, args[3]).data
+    numbers = [builder.load(builder.gep(camera, [context.get_constant(types.intp, k)])) for k in range(CAMERA)]
+    return facts, words, [splat(builder, number) for number in numbers], splats(builder, args[4])
+
+
+def _make_primary_words(typingctx: Any, facts: Any, words: Any, at: Any, camera: Any, step: Any, edges: Any) -> Any:
+    """Make the words of eight primaries, columns at..at+7; camera  float64 (6, 3); edges  six int32, the cell's corners."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        known, made, numbers, steps = _tables(context, builder, signature, args)
+        origin, d = _eye_ray(numbers, known.read(X), known.read(Y))
+        enters, point, start = _entry(origin, d, steps)
+        x, y, z = (one.as_long() for one in _beside_ray(start, d, steps))
+        a, b = (code.as_long() for code in octahedral_eight(d))
+        made.write(WORD, made.read(HEAD) | x << 40)
+        made.write(WORD + 1, y | z << 24 | a << 48)
+        made.write(WORD + 2, a >> 16 | b << 8 | (WHITE & 0xFFFFFFFF) << 32)
+        made.write(LAST, x.every(WHITE >> 32))
+        ports = behind(point, splats(builder, args[5])).as_long()
+        made.write(BEHIND, enters.choose(ports, ports.every(NOWHERE)))
+        return context.get_dummy_value()
+
+    tuples = types.UniTuple(types.float64, 3), types.UniTuple(types.int32, 6)
+    return types.void(facts, words, types.int64, camera, *tuples), codegen
+
+
+def _make_entries(typingctx: Any, facts: Any, words: Any, at: Any, camera: Any, step: Any) -> Any:
+    """Find where the rays of eight samples enter the world box, columns at..at+7; camera  float64 (6, 3)."""
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        known, made, numbers, steps = _tables(context, builder, signature, args)
+        origin, direction = _eye_ray(numbers, known.read(X), known.read(Y))
+        _, point, _ = _entry(origin, direction, steps)
+        for axis in range(3):
+            made.write(POINT + axis, point[axis].as_long())
+        return context.get_dummy_value()
+
+    return types.void(facts, words, types.int64, camera, types.UniTuple(types.float64, 3)), codegen
+
+
+# kernels call them without the first argument
+_primary_words: Any = intrinsic(_make_primary_words)
+_entries: Any = intrinsic(_make_entries)
