@@ -21,9 +21,12 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from .compiled import part
+from .lanes import WIDE
+from .lattice import T_MIN
 from .packets import HALF_DIRECTION, LATTICE, SIZE, read_origin, read_u16, read_u64
 from .tables import LIGHT_KIND
 from .tables import PLACE as LIGHT_PLACE
+from .traverse import open_root
 from .vectors import EIGHT, Lanes, Table, least, most, splats
 from .walk import HUGE
 
@@ -41,16 +44,25 @@ class Ahead(NamedTuple):
     whole  int32 (WHOLE * AHEAD,), what their packets say
     known  float64 (KNOWN * AHEAD,), what is worked out; of a shadow ray place and kind of its light before
     ways   int64 (AHEAD,), exit ports, or ASTRAY
+    roots  int64 (AHEAD * WIDE,), keys of the root's boxes that each ray meets (`node.lanes`); met  int64 (AHEAD,), how many
     """
 
     whole: NDArray[np.int32]
     known: NDArray[np.float64]
     ways: NDArray[np.int64]
+    roots: NDArray[np.int64]
+    met: NDArray[np.int64]
 
 
 def make_ahead() -> Ahead:
     """Room for AHEAD rays."""
-    return Ahead(np.zeros(WHOLE * AHEAD, np.int32), np.zeros(KNOWN * AHEAD), np.zeros(AHEAD, np.int64))
+    return Ahead(
+        np.zeros(WHOLE * AHEAD, np.int32),
+        np.zeros(KNOWN * AHEAD),
+        np.zeros(AHEAD, np.int64),
+        np.zeros(AHEAD * WIDE, np.int64),
+        np.zeros(AHEAD, np.int64),
+    )
 
 
 def _unit_vector(whole: Table, _known: Table, _places: list[Lanes]) -> tuple[list[Lanes], Lanes | None]:
@@ -221,3 +233,24 @@ def column(ahead, j):
         known[T_OUT * AHEAD + j],
         known[DISTANCE * AHEAD + j],
     )
+
+
+@part
+def open_roots(surfaces, many, shadows, ahead):
+    """Find the boxes of the hierarchy's root that the rays meet: without a branch, as far as it goes."""
+    if len(surfaces.floats) == 0:
+        for j in range(many):
+            ahead.met[j] = 0
+        return
+    for j in range(many):
+        _, o, _, inv, t_in, t_out, distance = column(ahead, j)
+        upper = min(t_out, distance) if shadows else t_out
+        ahead.met[j] = open_root(surfaces, ahead.roots, j * WIDE, o, inv, max(t_in, T_MIN), upper)
+
+
+@part
+def take_root(ahead, j, stack):
+    """Put the keys of a ray on the stack of a walk; how many."""
+    for k in range(WIDE):
+        stack[k] = ahead.roots[j * WIDE + k]
+    return ahead.met[j]

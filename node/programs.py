@@ -201,7 +201,7 @@ def _linked(program: Program, file: Path) -> Compiled:
     into.update({hook: own[hook] for hook in program.hooks})
     traverse = _again(program, "traverse", {"_meet": into["_meet"]})
     taken = {name: into[name] for name in ("normals", "_bear_shadows", "edge_colour")}
-    step = _again(program, "step", taken | {name: traverse[name] for name in ("closest", "blocked")})
+    step = _again(program, "step", taken | {name: traverse[name] for name in ("closest_below", "blocked_below")})
     misses = _again(program, "misses", {"edge_colour": into["edge_colour"]})
     turn = _again(program, "turn", {"step": step["step"]})
     rounds = _again(program, "rounds", {"turn": turn["turn"]})

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .ahead import AHEAD, ASTRAY, Ahead, column, make_ahead, read_ahead, set_up_ahead
+from .ahead import AHEAD, ASTRAY, Ahead, column, make_ahead, open_roots, read_ahead, set_up_ahead, take_root
 from .camera import home
 from .compiled import lean, part
 from .eyes import Seen, entered_at, make_seen, note_return, noted_return, work_out_returns
@@ -43,6 +43,7 @@ from .pixels import fixed_point, slot
 from .shading import light_direction, light_discs, light_intensity, normals, place, refract
 from .tables import (
     BORN,
+    BOXES,
     DIED,
     DIFFUSE,
     HIGHLIGHT,
@@ -56,7 +57,7 @@ from .tables import (
     TRANSMISSION,
     WALKS,
 )
-from .traverse import blocked, closest
+from .traverse import blocked_below, closest_below, open_root
 from .walk import (
     HOST,
     NO_PORT,
@@ -304,15 +305,17 @@ def _set_up(cell, space, frame, packets, at, port, kind):
 
 
 @part
-def _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, outputs, counts):
-    """A primary, reflected or refracted ray. `ray`: what `_set_up` gives."""
+def _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, met, outputs, counts):
+    """A primary, reflected or refracted ray. `ray`: what `_set_up` gives; met: keys of the root on the stack."""
     way, o, d, inv, t_in, t_out, _ = ray
     if way == ASTRAY:
         _hand_on(packets, at, towards_start(cell, read_origin(packets, at)), outputs, counts)
         return
     counts[WALKS] += 1
-    if len(surfaces.floats) > 0:
-        t, item, u, v = closest(surfaces, outputs.stack, o, d, inv, max(t_in, T_MIN), t_out, counts)
+    if met == 0:
+        counts[BOXES] += len(surfaces.floats) > 0
+    else:
+        t, item, u, v = closest_below(surfaces, outputs.stack, met, o, d, inv, max(t_in, T_MIN), t_out, counts)
         if item >= 0:
             _shade(cell, space, frame, surfaces, packets, at, kind, o, d, t, item, u, v, outputs, counts)
             return
@@ -323,7 +326,7 @@ def _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, outp
 
 
 @part
-def _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, outputs, counts):
+def _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, met, outputs, counts):
     """A shadow ray: forgotten at the first surface, a return packet where it reaches its light."""
     way, o, d, inv, t_in, t_out, distance = ray
     if way == ASTRAY:
@@ -331,7 +334,9 @@ def _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, outputs
         return
     counts[WALKS] += 1
     upper = min(t_out, distance)
-    if len(surfaces.floats) > 0 and blocked(surfaces, outputs.stack, o, d, inv, max(t_in, T_MIN), upper, counts):
+    if met == 0:
+        counts[BOXES] += len(surfaces.floats) > 0
+    if met > 0 and blocked_below(surfaces, outputs.stack, met, o, d, inv, max(t_in, T_MIN), upper, counts):
         counts[DIED + SHADOW] += 1
     elif distance <= t_out or leaves_array(cell.index, space.shape, way):
         counts[DIED + SHADOW] += 1
@@ -387,10 +392,14 @@ def step_one(cell, space, frame, surfaces, pixels, packets, at, port, outputs, c
         _settle(cell, space, frame, pixels, packets, at, kind, outputs, counts)
         return
     ray = _set_up(cell, space, frame, packets, at, port, kind)
+    _, o, _, inv, t_in, t_out, distance = ray
+    met, upper = 0, min(t_out, distance)
+    if len(surfaces.floats) > 0:
+        met = open_root(surfaces, outputs.stack, 0, o, inv, max(t_in, T_MIN), upper)
     if kind == SHADOW:
-        _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, outputs, counts)
+        _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, met, outputs, counts)
     else:
-        _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, outputs, counts)
+        _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, met, outputs, counts)
     _write_all_noted(cell, space, frame, pixels, outputs, counts)
 
 
@@ -417,12 +426,12 @@ def _step_each(cell, space, frame, surfaces, pixels, packets, first, last, what,
         if what == SETTLES:
             _settle(cell, space, frame, pixels, packets, at, np.int64(packets[at]) & 7, outputs, counts)
             continue
-        ray = column(outputs.ahead, j)
+        ray, met = column(outputs.ahead, j), take_root(outputs.ahead, j, outputs.stack)
         if what == SHADOWS_ON:
-            _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, outputs, counts)
+            _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, met, outputs, counts)
         else:
             kind = np.int64(packets[at]) & 7
-            _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, outputs, counts)
+            _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, met, outputs, counts)
     _write_all_noted(cell, space, frame, pixels, outputs, counts)
 
 
@@ -453,6 +462,7 @@ def step(cell, space, frame, surfaces, pixels, packets, ports, first, last, outp
         if what != SETTLES:
             read_ahead(frame, packets, ports, k, stop, what == SHADOWS_ON, outputs.ahead)
             set_up_ahead(cell, space, stop - k, what == SHADOWS_ON, outputs.ahead)
+            open_roots(surfaces, stop - k, what == SHADOWS_ON, outputs.ahead)
         _step_each(cell, space, frame, surfaces, pixels, packets, k, stop, what, outputs, counts)
         k = stop
     return k

@@ -18,6 +18,8 @@ from .intersect import MISS, cone, in_polygon, plane, sphere, triangle
 from .lanes import WIDE, push_boxes
 from .tables import BOXES, KIND_SHIFT, SLOT_MASK, TESTS
 
+FAREST = 1e18  # stands for infinite times, so that a binary32 holds them
+
 
 @part
 def _meet(surfaces, kind, row, o, d, lower, upper):
@@ -41,7 +43,7 @@ def _meet(surfaces, kind, row, o, d, lower, upper):
 @part
 def _narrow(inverse):
     """An inverse direction in binary32, finite."""
-    return np.float32(min(max(inverse, -1e18), 1e18))
+    return np.float32(min(max(inverse, -FAREST), FAREST))
 
 
 @part
@@ -83,16 +85,31 @@ def _leaf(surfaces, child):
 
 
 @part
+def open_root(surfaces, keys, at, o, inv, lower, upper):
+    """Put the keys of the root's boxes that a ray meets into `keys`, int64, from place `at` on (WIDE places are
+    overwritten); how many. There must be a root."""
+    ray, near = _for_boxes(o, inv)
+    high = np.float32(min(upper, FAREST))
+    return push_boxes(surfaces.floats, np.int64(0), near, ray, np.float32(lower), high, keys, at)
+
+
+@part
 def closest(surfaces, stack, o, d, inv, lower, upper, counts):
     """(t, item, u, v) of the first hit; item -1 if there is none. `stack`: scratch, int64 (hierarchy.DEPTH,)."""
+    met = open_root(surfaces, stack, np.int64(0), o, inv, lower, upper)
+    return closest_below(surfaces, stack, met, o, d, inv, lower, upper, counts)
+
+
+@part
+def closest_below(surfaces, stack, met, o, d, inv, lower, upper, counts):
+    """As `closest`, where the keys that `open_root` gives are on the stack already, this many."""
     ray, near = _for_boxes(o, inv)
     low = np.float32(lower)
     best, best_item, best_u, best_v = upper, np.int64(-1), 0.0, 0.0
     limit = _bits(best)
-    top, node, opened = np.int64(0), np.int64(0), 0
-    while node >= 0:
+    top, opened = np.int64(0), 0
+    while True:
         opened += 1
-        met = push_boxes(surfaces.floats, node * WORDS, near, ray, low, np.float32(best), stack, top)
         _nearest_last(stack, top, top + met)
         top += met
         node = np.int64(-1)
@@ -113,6 +130,9 @@ def closest(surfaces, stack, o, d, inv, lower, upper, counts):
                 ):
                     best, best_item, best_u, best_v = t, first + k, u, v
                     limit = _bits(best)
+        if node < 0:
+            break
+        met = push_boxes(surfaces.floats, node * WORDS, near, ray, low, np.float32(min(best, FAREST)), stack, top)
     counts[BOXES] += opened
     return best, best_item, best_u, best_v
 
@@ -120,12 +140,19 @@ def closest(surfaces, stack, o, d, inv, lower, upper, counts):
 @part
 def blocked(surfaces, stack, o, d, inv, lower, upper, counts):
     """Whether anything is hit within lower <= t < upper. In no order: sorting costs more than it saves (2 to 18 %)."""
+    met = open_root(surfaces, stack, np.int64(0), o, inv, lower, upper)
+    return blocked_below(surfaces, stack, met, o, d, inv, lower, upper, counts)
+
+
+@part
+def blocked_below(surfaces, stack, met, o, d, inv, lower, upper, counts):
+    """As `blocked`, where the keys that `open_root` gives are on the stack already, this many."""
     ray, near = _for_boxes(o, inv)
-    low, high = np.float32(lower), np.float32(min(upper, 1e18))
-    top, node, opened = np.int64(0), np.int64(0), 0
-    while node >= 0:
+    low, high = np.float32(lower), np.float32(min(upper, FAREST))
+    top, opened = np.int64(0), 0
+    while True:
         opened += 1
-        top += push_boxes(surfaces.floats, node * WORDS, near, ray, low, high, stack, top)
+        top += met
         node = np.int64(-1)
         while top > 0 and node < 0:
             top -= 1
@@ -140,5 +167,8 @@ def blocked(surfaces, stack, o, d, inv, lower, upper, counts):
                 if t >= lower and t < upper:
                     counts[BOXES] += opened
                     return True
+        if node < 0:
+            break
+        met = push_boxes(surfaces.floats, node * WORDS, near, ray, low, high, stack, top)
     counts[BOXES] += opened
     return False
