@@ -168,22 +168,24 @@ def _receive(wires, port, bounds, stacks, held):
 
 
 @part
-def _send(wires, port, outputs, batch):
-    """Send what an output holds, `batch` packets a message; whether all went. What could not go stays."""
+def _send(wires, port, outputs, least, batch):
+    """Send what an output holds, `batch` packets a message, until it holds fewer than `least`; whether it then does.
+
+    What could not go stays, and a rest that is worth no message of its own.
+    """
     book, row, sent = wires.books[port], outputs.data[port], np.int64(0)
-    while sent < outputs.held[port] and book[DATA_SENT] - book[CREDIT] < WINDOW:
+    while outputs.held[port] - sent >= least and book[DATA_SENT] - book[CREDIT] < WINDOW:
         many = min(batch, outputs.held[port] - sent)
         # the header of a later message takes the place of bytes that were sent
         if not _post(wires, book, _PACKETS, many, row, sent * SIZE, HEAD + many * SIZE):
             break
         book[DATA_SENT] += 1
         sent += many
-    if sent == 0:
-        return outputs.held[port] == 0
-    for k in range(HEAD, HEAD + (outputs.held[port] - sent) * SIZE):
-        row[k] = row[k + sent * SIZE]
-    outputs.held[port] -= sent
-    return outputs.held[port] == 0
+    if sent > 0:
+        for k in range(HEAD, HEAD + (outputs.held[port] - sent) * SIZE):
+            row[k] = row[k + sent * SIZE]
+        outputs.held[port] -= sent
+    return outputs.held[port] < least
 
 
 @part
@@ -194,7 +196,7 @@ def _send_all(wires, outputs, least, pressed, batch):
     for port in range(HOST + 1):
         if outputs.held[port] >= least:
             wired = port < PORTS and wires.books[port, REGULAR] != 0
-            if not wired or (not _send(wires, port, outputs, batch) and pressed):
+            if not wired or (not _send(wires, port, outputs, least, batch) and pressed):
                 needed = True
     return needed
 
