@@ -90,7 +90,10 @@ def entry(step, origin, direction):
 
 @part
 def primary_origin(step, origin, direction, near):
-    """Lattice origin of a primary ray that enters the world box at t = near: a little further on, to be on the ray."""
+    """Lattice origin of a primary ray that enters the world box at t = near: a little further on, to be on the ray.
+
+    The definition; `node.eyes` works it out for eight rays at once.
+    """
     start = (origin[0] + near * direction[0], origin[1] + near * direction[1], origin[2] + near * direction[2])
     return beside_ray(step, start, direction, TRIES)
 

@@ -23,7 +23,7 @@ from .camera import TRIES, image_point
 from .compiled import part
 from .lattice import FINE, HALF, LONGEST_STEP
 from .native import put_words
-from .newborn import nearest_eight, next_on_lattice, octahedral_eight
+from .newborn import nearest_eight, next_on_lattice, rest_of_ray, words_of
 from .packets import PRIMARY, pack_weight
 from .vectors import EIGHT, Lanes, Table, least, most, splat, splats
 from .walk import HUGE
@@ -32,8 +32,8 @@ LOT = 128  # samples that are noted before they are worked out; a multiple of EI
 # rows of `facts`: the point in the image, an intensity
 X, Y, INTENSITY, FACTS = 0, 1, 2, 5
 # rows of `words`: the first five bytes of a packet, the place in the store of its pixel; then of a primary the packet's
-# bytes 0-7, 8-15, 16-23 and 24, and the ports behind which it enters, or a number below 0; of a return the point where
-# its sample's ray enters
+# words (`newborn.words_of`), and the ports behind which it enters, or a number below 0; of a return the point where its
+# sample's ray enters
 HEAD, PLACE = 0, 1
 WORD, LAST, BEHIND, POINT, WORDS = 2, 5, 6, 2, 7
 WHITE = int(pack_weight(1.0, 1.0, 1.0))
@@ -195,12 +195,9 @@ def _make_primary_words(typingctx: Any, facts: Any, words: Any, at: Any, camera:
         known, made, numbers, steps = _tables(context, builder, signature, args)
         origin, d = _eye_ray(numbers, known.read(X), known.read(Y))
         enters, point, start = _entry(origin, d, steps)
-        x, y, z = (one.as_long() for one in _beside_ray(start, d, steps))
-        a, b = (code.as_long() for code in octahedral_eight(d))
-        made.write(WORD, made.read(HEAD) | x << 40)
-        made.write(WORD + 1, y | z << 24 | a << 48)
-        made.write(WORD + 2, a >> 16 | b << 8 | (WHITE & 0xFFFFFFFF) << 32)
-        made.write(LAST, x.every(WHITE >> 32))
+        head = made.read(HEAD)
+        for k, word in enumerate(words_of(head, _beside_ray(start, d, steps), rest_of_ray(d, head.every(WHITE)))):
+            made.write(WORD + k, word)
         ports = behind(point, splats(builder, args[5])).as_long()
         made.write(BEHIND, enters.choose(ports, ports.every(NOWHERE)))
         return context.get_dummy_value()

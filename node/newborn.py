@@ -39,8 +39,8 @@ BROOD = 128  # births that are noted before they are written; a multiple of EIGH
 SHADOWS, RAYS, BROODS = 0, 1, 2
 # rows of `facts`: point, normal, direction, weight
 POINT, NORMAL, DIRECTION, WEIGHT, FACTS = 0, 3, 6, 9, 12
-# rows of `words`: the first five bytes and the light; then the packet's bytes 0-7, 8-15, 16-23 and 24, and the ports
-# behind which it starts
+# rows of `words`: the first five bytes and the light; then the packet's words (`words_of`), and the ports behind which
+# it starts
 HEAD, LIGHT = 0, 1
 WORD, LAST, BEHIND, WORDS = 0, 3, 4, 5
 
@@ -68,7 +68,7 @@ def origin_beside(step, p, g, d):
     """Lattice origin of a ray born at p: lifted off the surface to the side that it goes to, then rounded.
 
     It is moved along itself, which changes nothing of what it sees. A ray that leaves at a grazing angle would have to
-    go far, so it is lifted along the normal g by what is lacking.
+    go far, so it is lifted along the normal g by what is lacking. The definition, for one ray.
     """
     slope = g[0] * d[0] + g[1] * d[1] + g[2] * d[2]
     along = LIFT / max(abs(slope), GENTLE)
@@ -192,15 +192,27 @@ def _shadow_weight(value: Lanes) -> Lanes:
     return (value > 0.0).choose((bits > most_bits).choose(most_bits, bits) >> 7, bits.every(0))
 
 
-def _of_ray(facts: Table, words: Table, direction: list[Lanes]) -> tuple[Lanes, Lanes, Lanes]:
-    """Bytes 14 and 15, 16 to 23, and 24 of a ray, as numbers."""
+Rest = tuple[Lanes, Lanes, Lanes]  # bytes 14 and 15, 16 to 23, and 24 of a packet, as numbers
+
+
+def rest_of_ray(direction: list[Lanes], weight: Lanes) -> Rest:
+    """The rest of a ray with this direction and packed weight."""
     a, b = (code.as_long() for code in octahedral_eight(direction))
-    weight = _weight(facts.read_three(WEIGHT))
     return a & 0xFFFF, a >> 16 | b << 8 | weight << 32, weight >> 32
 
 
-def _of_shadow(facts: Table, words: Table, direction: list[Lanes]) -> tuple[Lanes, Lanes, Lanes]:
-    """Bytes 14 and 15, 16 to 23, and 24 of a shadow ray, as numbers."""
+def words_of(head: Lanes, origin: list[Lanes], rest: Rest) -> list[Lanes]:
+    """Bytes 0-7, 8-15, 16-23 and 24 of a packet as numbers; `head`: its first five bytes."""
+    x, y, z = (at.as_long() for at in origin)
+    two, eight, last = rest
+    return [head | x << 40, y | z << 24 | two << 48, eight, last]
+
+
+def _of_ray(facts: Table, words: Table, direction: list[Lanes]) -> Rest:
+    return rest_of_ray(direction, _weight(facts.read_three(WEIGHT)))
+
+
+def _of_shadow(facts: Table, words: Table, direction: list[Lanes]) -> Rest:
     red, green, blue = (_shadow_weight(one) for one in facts.read_three(WEIGHT))
     return words.read(LIGHT), red | green << 24 | blue << 48, blue >> 16
 
@@ -220,13 +232,9 @@ def _words(rest_of: Any) -> Any:
             steps, cell = (splats(builder, packed) for packed in args[4:])
             direction = known.read_three(DIRECTION)
             origin = _origins(known, direction, steps)
-            x, y, z = (at.as_long() for at in origin)
-            two, eight, last = rest_of(known, made, direction)
-            head = made.read(HEAD)
-            made.write(WORD, head | x << 40)
-            made.write(WORD + 1, y | z << 24 | two << 48)
-            made.write(WORD + 2, eight)
-            made.write(LAST, last)
+            rest = rest_of(known, made, direction)
+            for k, word in enumerate(words_of(made.read(HEAD), origin, rest)):
+                made.write(WORD + k, word)
             made.write(BEHIND, behind(origin, cell).as_long())
             return context.get_dummy_value()
 
