@@ -2,7 +2,7 @@
 
 A tiny in-memory array renders a tiny scene that has every kind of surface, light and ray, so every kernel is
 called with exactly the argument types that nodes use. Each function that has to be compiled is reported, so that
-the half minute of a first run can be seen to go on.
+the minute of a first run can be seen to go on.
 """
 
 from __future__ import annotations
