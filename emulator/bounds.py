@@ -41,8 +41,8 @@ from raygrid.node.backlog import BYTES_A_PACKET, FIRST_ROOM
 from raygrid.node.hierarchy import WORDS
 from raygrid.node.intersect import CONE_COLUMNS, PLANE_COLUMNS, POLY_COLUMNS
 from raygrid.node.link import MESSAGE_OVERHEAD
+from raygrid.node.outputs import HEAD
 from raygrid.node.packets import SIZE
-from raygrid.node.step import HEAD
 from raygrid.node.surfaces import STORED_AS, STRIDE, SURFACE_KINDS, AddedKind, AnyKind, Kind
 from raygrid.node.tables import OWN_COLUMNS, SPECULAR, TRANSMISSION, Frame
 from raygrid.node.tracer import ROOM

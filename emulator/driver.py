@@ -23,6 +23,7 @@ from raygrid.node.link import Link, State
 from raygrid.node.messages import MessageKind, check_packets, pack_surfaces, read_order
 from raygrid.node.motions import Moves, groups_order, placed
 from raygrid.node.orders import frame_order, space_order
+from raygrid.node.outputs import HEAD
 from raygrid.node.packets import KINDS, PIXEL, PRIMARY, read_pixels
 from raygrid.node.processor import (
     ALLOWED,
@@ -37,7 +38,6 @@ from raygrid.node.processor import (
     read_sums,
 )
 from raygrid.node.programs import Program, program_order
-from raygrid.node.step import HEAD
 from raygrid.node.surfaces import Batch, SurfaceSet
 from raygrid.node.tables import BORN, DIED, Frame
 

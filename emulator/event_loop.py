@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from raygrid.node.births import bear_sample
 from raygrid.node.compiled import lean, part
 from raygrid.node.lattice import Cell, coordinate
+from raygrid.node.outputs import HEAD
 from raygrid.node.packets import KINDS, PIXEL, PRIMARY, RETURN, SIZE, put_pixel
-from raygrid.node.step import HEAD
 from raygrid.node.tables import BORN, COUNTS, DIED, Surfaces
 from raygrid.node.timed import (
     AFTER,

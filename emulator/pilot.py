@@ -22,10 +22,11 @@ from raygrid.node.compiled import lean
 from raygrid.node.hierarchy import DEPTH
 from raygrid.node.holdings import build_surfaces
 from raygrid.node.lattice import T_MIN, Cell, Space, make_cell, make_space
+from raygrid.node.outputs import HEAD, Outputs, make_outputs
 from raygrid.node.packets import LATTICE, PRIMARY, SHADOW, SIZE, read_u16, read_u24, read_u32, unit_vector
 from raygrid.node.pixels import make_pixels
 from raygrid.node.shading import light_direction, place
-from raygrid.node.step import HEAD, Outputs, edge_colour, make_outputs, step
+from raygrid.node.step import edge_colour, step
 from raygrid.node.surfaces import STORED_AS, Batch, Kind, SurfaceSet, merge
 from raygrid.node.tables import COUNTS, Frame, Surfaces
 from raygrid.node.traverse import closest

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from raygrid.node.errors import ArrayError, TooLarge
 from raygrid.node.hierarchy import DEPTH
 from raygrid.node.lattice import Space
+from raygrid.node.outputs import make_outputs
 from raygrid.node.packets import KINDS, SIZE
 from raygrid.node.pixels import Pixels
-from raygrid.node.step import make_outputs
 from raygrid.node.surfaces import SurfaceSet
 from raygrid.node.tables import BORN, COUNTS, DIED, Frame, Surfaces
 from raygrid.node.timed import (

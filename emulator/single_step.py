@@ -18,8 +18,9 @@ from raygrid.node.errors import TooLarge
 from raygrid.node.hierarchy import DEPTH
 from raygrid.node.lattice import Space
 from raygrid.node.orders import frame_order
+from raygrid.node.outputs import HEAD, make_outputs
 from raygrid.node.packets import SIZE
-from raygrid.node.step import HEAD, make_outputs, step
+from raygrid.node.step import step
 from raygrid.node.surfaces import SurfaceSet
 from raygrid.node.tables import COUNTS, Frame
 from raygrid.node.tracer import Tracer

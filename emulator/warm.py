@@ -61,7 +61,7 @@ def warm(report: Report) -> None:
         array = MemoryArray((2, 1, 1))
         half = LATTICE // 2
         space = make_space((2.0**-24, 2.0**-24, 2.0**-24), [[0, half, LATTICE], [0, LATTICE], [0, LATTICE]])
-        frame = _frame()
+        frame = tiny_frame()
         array.driver.ready()
         moves = Moves(make_groups(np.zeros(1, np.int64), np.zeros(1, np.int64), 1), at_rest(1))
         array.driver.load(space, _one_of_each(), moves)
@@ -94,7 +94,7 @@ def warm_timed(report: Report) -> None:
         prices = Prices(np.ones(COUNTS, np.int64), 1, 1, 1, 0)
         array.driver.ready()
         array.driver.load(space, _one_of_each())
-        array.driver.trace(_frame(), prices=prices_order(prices, np.zeros(len(Kind), np.int64)))
+        array.driver.trace(tiny_frame(), prices=prices_order(prices, np.zeros(len(Kind), np.int64)))
     report(KERNELS, KERNELS, "ready")
 
 
@@ -117,7 +117,8 @@ def _one_of_each() -> SurfaceSet:
     return SurfaceSet(tuple(batches))
 
 
-def _frame() -> Frame:
+def tiny_frame() -> Frame:
+    """A small frame with lights of both kinds."""
     rows = ((0.0, 0.0, 2.0), (0.0,) * 3, (0.0,) * 3, (-0.2, 0.2, -1.0), (0.05, 0.0, 0.0), (0.0, -0.05, 0.0))
     camera = np.array(rows)
     materials, lights = np.full((1, MATERIAL_COLUMNS), 0.5), np.zeros((2, LIGHT_COLUMNS))

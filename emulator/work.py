@@ -31,10 +31,11 @@ from numpy.typing import NDArray
 
 from raygrid.node.compiled import lean, part
 from raygrid.node.hierarchy import DEPTH, LEAF_BIT, WORDS
-from raygrid.node.lanes import WIDE, push_boxes
+from raygrid.node.lanes import push_boxes
 from raygrid.node.lattice import T_MIN, Space, cell_index, coordinate, nearest
 from raygrid.node.packets import LATTICE
 from raygrid.node.shading import place
+from raygrid.node.traverse import FAREST, for_boxes
 from raygrid.node.walk import inverse
 
 from .pilot import IS_PRIMARY, RETURNS, SHADED, T_END, Pilot
@@ -163,21 +164,8 @@ def _go_home(rays, r, grid, x, y, z, weights, work):
 @part
 def _open_boxes(surfaces, stack, grid, o, d, inv, end, weights, work):
     """Count each node of the hierarchy that a ray opens where it enters the node's box."""
-    most = 1e18
-    ray = (
-        np.float32(o[0]),
-        np.float32(o[1]),
-        np.float32(o[2]),
-        np.float32(min(max(inv[0], -most), most)),
-        np.float32(min(max(inv[1], -most), most)),
-        np.float32(min(max(inv[2], -most), most)),
-    )
-    near = (
-        np.int64(0 if inv[0] >= 0.0 else 3 * WIDE),
-        np.int64(WIDE if inv[1] >= 0.0 else 4 * WIDE),
-        np.int64(2 * WIDE if inv[2] >= 0.0 else 5 * WIDE),
-    )
-    high = np.float32(min(end, most))
+    ray, near = for_boxes(o, inv)
+    high = np.float32(min(end, FAREST))
     stack[0] = 0
     top = np.int64(1)
     while top > 0:

@@ -86,6 +86,11 @@ def _light_direction(_whole: Table, known: Table, places: list[Lanes]) -> tuple[
     return towards, endless.choose(float("inf"), distance)
 
 
+def inverse_eight(d: Lanes) -> Lanes:
+    """As `walk.inverse`."""
+    return (abs(d) < 1.0 / HUGE).choose(HUGE, 1.0 / d)
+
+
 def _passage(places: list[Lanes], inverses: list[Lanes], bounds: list[Lanes]) -> tuple[Lanes, Lanes, Lanes]:
     """As `walk.passage`."""
     times = [
@@ -150,7 +155,7 @@ def _write_all(
 ) -> None:
     places = [(at - LATTICE // 2).as_float() * step[axis] for axis, at in enumerate(whole.read_three(ORIGIN))]
     directions, distance = direction_of(whole, known, places)
-    inverses = [(abs(d) < 1.0 / HUGE).choose(HUGE, 1.0 / d) for d in directions]
+    inverses = [inverse_eight(d) for d in directions]
     t_in, t_out, way = _passage(places, inverses, bounds)
     for axis in range(3):
         known.write(PLACE + axis, places[axis])

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .compiled import lean, part
+from .outputs import HEAD
 from .packets import PIXEL, RETURN, SHADOW, SIZE, Limits, copy_packet, fault
-from .step import HEAD
 
 TRAVELLERS, SHADOWS, RAYS = 0, 1, 2
 CLASSES = 3

@@ -18,15 +18,13 @@ from numba.core import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from .ahead import behind, corners
+from .ahead import behind, corners, inverse_eight
 from .camera import TRIES, image_point
 from .compiled import part
 from .lattice import FINE, HALF, LONGEST_STEP
-from .native import put_words
-from .newborn import nearest_eight, next_on_lattice, rest_of_ray, words_of
+from .newborn import nearest_eight, next_on_lattice, put_made, rest_of_ray, words_of
 from .packets import PRIMARY, pack_weight
 from .vectors import EIGHT, Lanes, Table, least, most, splat, splats
-from .walk import HUGE
 
 LOT = 128  # samples that are noted before they are worked out; a multiple of EIGHT
 # rows of `facts`: the point in the image, an intensity
@@ -35,7 +33,7 @@ X, Y, INTENSITY, FACTS = 0, 1, 2, 5
 # words (`newborn.words_of`), and the ports behind which it enters, or a number below 0; of a return the point where its
 # sample's ray enters
 HEAD, PLACE = 0, 1
-WORD, LAST, BEHIND, POINT, WORDS = 2, 5, 6, 2, 7
+WORD, BEHIND, POINT, WORDS = 2, 6, 2, 7
 WHITE = int(pack_weight(1.0, 1.0, 1.0))
 NOWHERE = -1
 CAMERA = 18  # numbers of a camera
@@ -85,9 +83,7 @@ def is_at_home(seen, j):
 @part
 def put_primary(seen, j, row, at):
     """Write the packet of a sample that was worked out."""
-    words = seen.words
-    put_words(row, at, words[WORD * LOT + j], words[(WORD + 1) * LOT + j], words[(WORD + 2) * LOT + j])
-    row[at + 24] = np.uint8(words[LAST * LOT + j])
+    put_made(seen.words, WORD * LOT + j, LOT, row, at)
 
 
 # --- homes of returns ----------------------------------------------------------------------------------
@@ -149,7 +145,7 @@ def _entry(origin: list[Lanes], direction: list[Lanes], step: list[Lanes]) -> tu
     """As `camera.entry`: (enters, lattice point, the point itself)."""
     nears, fars = [], []
     for at, d, one in zip(origin, direction, step, strict=True):
-        inverse, half = (abs(d) < 1.0 / HUGE).choose(HUGE, 1.0 / d), one * float(HALF)
+        inverse, half = inverse_eight(d), one * float(HALF)
         a, b = (-half - at) * inverse, (half - at) * inverse
         nears.append((inverse >= 0.0).choose(a, b))
         fars.append((inverse >= 0.0).choose(b, a))

@@ -36,8 +36,8 @@ from .messages import (
     read_order,
     seal,
 )
+from .outputs import HEAD
 from .packets import SIZE
-from .step import HEAD
 
 # places in a link's book: whole numbers that compiled code keeps, too (`node.rounds`)
 SOCKET, REGULAR, EPOCH = 0, 1, 2  # address of its ZeroMQ socket, 0: not for compiled code; `Link.regular`; epoch

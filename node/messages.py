@@ -25,8 +25,8 @@ from xxhash import xxh3_64_intdigest
 
 from .errors import ProtocolError
 from .maps import pack_map, read_map
+from .outputs import HEAD
 from .packets import SIZE
-from .step import HEAD
 from .surfaces import OWN_HALF, STORED_AS, STRIDE, SURFACE_KINDS, AddedKind, Batch, Kind
 
 VERSION = 1

@@ -33,16 +33,16 @@ from .packets import (
     TOO_LARGE_WEIGHT,
     WEIGHT_BIAS,
 )
-from .vectors import EIGHT, Lanes, Table, most, splats, within
+from .vectors import EIGHT, Lanes, Table, least, most, splats, within
 
 BROOD = 128  # births that are noted before they are written; a multiple of EIGHT
-SHADOWS, RAYS, BROODS = 0, 1, 2
+SHADOW_BROOD, RAY_BROOD, BROODS = 0, 1, 2
 # rows of `facts`: point, normal, direction, weight
 POINT, NORMAL, DIRECTION, WEIGHT, FACTS = 0, 3, 6, 9, 12
 # rows of `words`: the first five bytes and the light; then the packet's words (`words_of`), and the ports behind which
 # it starts
 HEAD, LIGHT = 0, 1
-WORD, LAST, BEHIND, WORDS = 0, 3, 4, 5
+WORD, BEHIND, WORDS = 0, 4, 5
 
 
 class Newborn(NamedTuple):
@@ -98,7 +98,7 @@ def work_out(cell, space, newborn, brood):
     """Make the words of all that are noted of a brood."""
     for j in range(0, newborn.held[brood], EIGHT):
         fact, word = brood * FACTS * BROOD + j, brood * WORDS * BROOD + j
-        if brood == SHADOWS:
+        if brood == SHADOW_BROOD:
             _shadow_words(newborn.facts, newborn.words, fact, word, space.step, corners(cell))
         else:
             _ray_words(newborn.facts, newborn.words, fact, word, space.step, corners(cell))
@@ -113,9 +113,14 @@ def starts_behind(newborn, brood, j):
 @part
 def put(newborn, brood, j, row, at):
     """Write the packet of a newborn that was worked out."""
-    words, first = newborn.words, brood * WORDS * BROOD + j
-    put_words(row, at, words[first], words[first + BROOD], words[first + 2 * BROOD])
-    row[at + 24] = np.uint8(words[first + LAST * BROOD])
+    put_made(newborn.words, (brood * WORDS + WORD) * BROOD + j, BROOD, row, at)
+
+
+@part
+def put_made(words, first, stride, row, at):
+    """Write a packet whose words (`words_of`) stand at every `stride` places of a table from place `first` on."""
+    put_words(row, at, words[first], words[first + stride], words[first + 2 * stride])
+    row[at + 24] = np.uint8(words[first + 3 * stride])
 
 
 # --- eight at once -------------------------------------------------------------------------------------
@@ -171,13 +176,8 @@ def _weight(weight: list[Lanes]) -> Lanes:
     rounds_up = (largest * _unit(e) + 0.5 >= 2048.0).as_long()
     e = e + (e < 127).choose(rounds_up, e.every(0))
     unit = _unit(e)
-    r, g, b = (_lower(one * unit + 0.5, 2047.0).as_whole().as_long() for one in weight)
+    r, g, b = (least(one * unit + 0.5, unit.every(2047.0)).as_whole().as_long() for one in weight)
     return (largest > 0.0).choose(r | g << 11 | b << 22 | e << 33, e.every(0))
-
-
-def _lower(lanes: Lanes, high: float) -> Lanes:
-    """min(lanes, high)."""
-    return (lanes > high).choose(high, lanes)
 
 
 def _unit(e: Lanes) -> Lanes:
@@ -187,9 +187,9 @@ def _unit(e: Lanes) -> Lanes:
 
 def _shadow_weight(value: Lanes) -> Lanes:
     """As `packets.pack_shadow_weight`, int64."""
-    bits = _lower(value, LARGEST_BINARY32).bits_of_single() + 64
-    most_bits = int(LARGEST_SHADOW_WEIGHT)
-    return (value > 0.0).choose((bits > most_bits).choose(most_bits, bits) >> 7, bits.every(0))
+    bits = least(value, value.every(LARGEST_BINARY32)).bits_of_single() + 64
+    bits = least(bits, bits.every(int(LARGEST_SHADOW_WEIGHT)))
+    return (value > 0.0).choose(bits >> 7, bits.every(0))
 
 
 Rest = tuple[Lanes, Lanes, Lanes]  # bytes 14 and 15, 16 to 23, and 24 of a packet, as numbers

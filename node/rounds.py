@@ -38,9 +38,9 @@ from .link import (
 )
 from .messages import SUMMED, WINDOW, MessageKind
 from .native import address, bytes_at, call_int, call_long
+from .outputs import HEAD
 from .packets import SIZE, read_u16, read_u32, write
 from .pair import NOBLOCK
-from .step import HEAD
 from .turn import CROWDED, FULL, IDLE, LONG, turn
 from .walk import HOST, PORTS
 

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import ProtocolError
+from .outputs import HEAD
 from .packets import SIZE
-from .step import HEAD
 from .surfaces import Kind
 from .tables import COUNTS
 from .timed import NEVER, Prices

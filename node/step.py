@@ -8,19 +8,13 @@ and the simulator all call `step`.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
-from .ahead import AHEAD, ASTRAY, Ahead, column, make_ahead, open_roots, read_ahead, set_up_ahead, take_root
-from .camera import home
+from .ahead import AHEAD, ASTRAY, column, open_roots, read_ahead, set_up_ahead, take_root
 from .compiled import lean, part
-from .eyes import Seen, entered_at, make_seen, note_return, noted_return, work_out_returns
 from .lattice import T_MIN
-from .newborn import RAYS as RAY_BROOD
-from .newborn import SHADOWS as SHADOW_BROOD
-from .newborn import Newborn, make_newborn, note, put, starts_behind, work_out
+from .newborn import RAY_BROOD, SHADOW_BROOD
+from .outputs import HEAD, bear, fullest, give_back, hand_on, keep, write_all_noted
 from .packets import (
     PIXEL,
     REFLECTED,
@@ -28,9 +22,7 @@ from .packets import (
     RETURN,
     SHADOW,
     SIZE,
-    copy_packet,
     get_intensity,
-    put_return,
     read_origin,
     read_u16,
     read_u24,
@@ -39,19 +31,14 @@ from .packets import (
     unpack_shadow_weight,
     unpack_weight,
 )
-from .pixels import fixed_point, slot
 from .shading import light_direction, light_discs, light_intensity, normals, place, refract
 from .tables import (
-    BORN,
     BOXES,
     DIED,
     DIFFUSE,
     HIGHLIGHT,
     HITS,
-    HOMES,
     IOR,
-    MISADDRESSED,
-    SENT,
     SHINE,
     SPECULAR,
     TRANSMISSION,
@@ -61,9 +48,6 @@ from .traverse import blocked_below, closest_below, open_root
 from .walk import (
     HOST,
     NO_PORT,
-    OUTPUTS,
-    SELF,
-    SELF_RAYS,
     inverse,
     is_walking,
     leaves_array,
@@ -74,139 +58,13 @@ from .walk import (
 
 # what is done with a packet, by its kind
 SETTLES, WALKS_ON, SHADOWS_ON = 0, 1, 2
-HEAD = 20  # bytes kept free at the head of every output for the link's header
-
-
-class Outputs(NamedTuple):
-    """Where a step writes: bytes uint8 (OUTPUTS, HEAD + room * SIZE), packets held int64 (OUTPUTS,), and scratch.
-
-    stack  int64, keys of the hierarchy; ahead  rays that are set up; newborn, seen  births that are noted
-    """
-
-    data: NDArray[np.uint8]
-    held: NDArray[np.int64]
-    stack: NDArray[np.int64]
-    ahead: Ahead
-    newborn: Newborn
-    seen: Seen
-
-
-def make_outputs(room: int, stack: int) -> Outputs:
-    """Empty outputs with room for this many packets each."""
-    return Outputs(
-        np.zeros((OUTPUTS, HEAD + room * SIZE), np.uint8),
-        np.zeros(OUTPUTS, np.int64),
-        np.zeros(stack, np.int64),
-        make_ahead(),
-        make_newborn(),
-        make_seen(),
-    )
-
-
-def clear(outputs: Outputs) -> None:
-    """Forget what outputs hold."""
-    outputs.held[:] = 0
-    outputs.newborn.held[:] = 0
-    outputs.seen.held[:] = 0
-
-
-@part
-def _claim(outputs, output, counts):
-    """Bytes of the next free packet of an output, and where it begins in them."""
-    at = HEAD + outputs.held[output] * SIZE
-    outputs.held[output] += 1
-    counts[SENT + output] += 1
-    return outputs.data[output], at
-
-
-@part
-def _hand_on(packets, at, output, outputs, counts):
-    row, to = _claim(outputs, output, counts)
-    copy_packet(packets, at, row, to)
-
-
-@part
-def _give_back(cell, space, frame, pixels, sample, depth, red, green, blue, outputs, counts):
-    """Bear a return packet, unless it would bring nothing; all are written if there is room to note no more."""
-    intensity = (np.float32(red), np.float32(green), np.float32(blue))
-    if not (intensity[0] > 0.0 or intensity[1] > 0.0 or intensity[2] > 0.0):
-        return
-    counts[BORN + RETURN] += 1
-    counts[HOMES] += 1
-    if note_return(outputs.seen, frame, sample, depth, intensity):
-        _write_returns(cell, space, frame, pixels, outputs, counts)
-
-
-@part
-def _write_returns(cell, space, frame, pixels, outputs, counts):
-    """Send home all return packets that are noted; those whose home is here die at once, in the pixel store."""
-    seen = outputs.seen
-    work_out_returns(space, frame, seen)
-    for j in range(seen.held[0]):
-        sample, depth, intensity = noted_return(seen, j)
-        there = home(space, entered_at(seen, j))
-        port = towards_cell(cell.index, there)
-        if port == NO_PORT:
-            _keep(frame, pixels, sample, intensity, counts)
-        else:
-            row, at = _claim(outputs, port, counts)
-            put_return(row, at, depth, sample, intensity, there)
-    seen.held[0] = 0
-
-
-@part
-def _keep(frame, pixels, sample, intensity, counts):
-    """Add an intensity to its pixel. The return packet dies."""
-    pixel = sample // frame.samples
-    j = pixel // frame.width
-    here = slot(pixels, pixel - j * frame.width, j)
-    counts[DIED + RETURN] += 1
-    if here < 0:
-        counts[MISADDRESSED] += 1
-        return
-    for k in range(3):
-        pixels.sums[here, k] += fixed_point(intensity[k])
-
-
-@part
-def _bear(cell, space, brood, kind, sample, depth, light, p, g, d, weight, outputs, counts):
-    """Note a birth, and write all that are noted if there is room for no more."""
-    counts[BORN + kind] += 1
-    head = kind | (depth << 3) | (sample << 8)
-    if note(outputs.newborn, brood, head, light, p, g, d, weight):
-        _write_newborn(cell, space, brood, outputs, counts)
-
-
-@part
-def _write_newborn(cell, space, brood, outputs, counts):
-    """Put all births of a brood that are noted on the outputs."""
-    newborn = outputs.newborn
-    work_out(cell, space, newborn, brood)
-    for j in range(newborn.held[brood]):
-        ports = starts_behind(newborn, brood, j)
-        output = SELF if brood == SHADOW_BROOD else SELF_RAYS
-        if ports != 0:
-            output = 0
-            while (ports >> output) & 1 == 0:
-                output += 1
-        row, at = _claim(outputs, output, counts)
-        put(newborn, brood, j, row, at)
-    newborn.held[brood] = 0
-
-
-@part
-def _write_all_noted(cell, space, frame, pixels, outputs, counts):
-    """Put all that is noted on the outputs."""
-    _write_newborn(cell, space, SHADOW_BROOD, outputs, counts)
-    _write_newborn(cell, space, RAY_BROOD, outputs, counts)
-    _write_returns(cell, space, frame, pixels, outputs, counts)
 
 
 @part
 def _bear_ray(cell, space, frame, kind, depth, sample, p, g, d, weight, outputs, counts):
     """Bear a reflected or refracted ray, unless it is too faint."""
     if max(weight[0], weight[1], weight[2]) > frame.min_weight:
-        _bear(cell, space, RAY_BROOD, kind, sample, depth, 0, p, g, d, weight, outputs, counts)
+        bear(cell, space, RAY_BROOD, kind, sample, depth, 0, p, g, d, weight, outputs, counts)
 
 
 @part
@@ -228,7 +86,7 @@ def _bear_shadows(cell, space, frame, material, depth, sample, p, g, n, mirror, 
             weight[1] * intensity[1] * (m[material, DIFFUSE + 1] * cosine + m[material, HIGHLIGHT + 1] * shine),
             weight[2] * intensity[2] * (m[material, DIFFUSE + 2] * cosine + m[material, HIGHLIGHT + 2] * shine),
         )
-        _bear(cell, space, SHADOW_BROOD, SHADOW, sample, depth, light, p, g, to_light, adds, outputs, counts)
+        bear(cell, space, SHADOW_BROOD, SHADOW, sample, depth, light, p, g, to_light, adds, outputs, counts)
 
 
 @part
@@ -273,7 +131,7 @@ def _at_edge(cell, space, frame, pixels, packets, at, kind, d, outputs, counts):
     weight = unpack_weight(read_u32(packets, at + 20) | (np.int64(packets[at + 24]) << 32))
     red, green, blue = edge_colour(frame, d)
     counts[DIED + kind] += 1
-    _give_back(
+    give_back(
         cell, space, frame, pixels, sample, depth, weight[0] * red, weight[1] * green, weight[2] * blue, outputs, counts
     )
 
@@ -309,7 +167,7 @@ def _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, met,
     """A primary, reflected or refracted ray. `ray`: what `_set_up` gives; met: keys of the root on the stack."""
     way, o, d, inv, t_in, t_out, _ = ray
     if way == ASTRAY:
-        _hand_on(packets, at, towards_start(cell, read_origin(packets, at)), outputs, counts)
+        hand_on(packets, at, towards_start(cell, read_origin(packets, at)), outputs, counts)
         return
     counts[WALKS] += 1
     if met == 0:
@@ -322,7 +180,7 @@ def _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, met,
     if leaves_array(cell.index, space.shape, way):
         _at_edge(cell, space, frame, pixels, packets, at, kind, d, outputs, counts)
     else:
-        _hand_on(packets, at, way, outputs, counts)
+        hand_on(packets, at, way, outputs, counts)
 
 
 @part
@@ -330,7 +188,7 @@ def _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, met, ou
     """A shadow ray: forgotten at the first surface, a return packet where it reaches its light."""
     way, o, d, inv, t_in, t_out, distance = ray
     if way == ASTRAY:
-        _hand_on(packets, at, towards_start(cell, read_origin(packets, at)), outputs, counts)
+        hand_on(packets, at, towards_start(cell, read_origin(packets, at)), outputs, counts)
         return
     counts[WALKS] += 1
     upper = min(t_out, distance)
@@ -344,20 +202,20 @@ def _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, met, ou
         green = unpack_shadow_weight(read_u24(packets, at + 19))
         blue = unpack_shadow_weight(read_u24(packets, at + 22))
         sample, depth = read_u32(packets, at + 1), np.int64(packets[at]) >> 3
-        _give_back(cell, space, frame, pixels, sample, depth, red, green, blue, outputs, counts)
+        give_back(cell, space, frame, pixels, sample, depth, red, green, blue, outputs, counts)
     else:
-        _hand_on(packets, at, way, outputs, counts)
+        hand_on(packets, at, way, outputs, counts)
 
 
 @part
 def _step_return(cell, frame, pixels, packets, at, outputs, counts):
     """A return packet: kept at its home, else handed on towards it."""
-    home = (read_u16(packets, at + 17), read_u16(packets, at + 19), read_u16(packets, at + 21))
-    port = towards_cell(cell.index, home)
+    there = (read_u16(packets, at + 17), read_u16(packets, at + 19), read_u16(packets, at + 21))
+    port = towards_cell(cell.index, there)
     if port == NO_PORT:
-        _keep(frame, pixels, read_u32(packets, at + 1), get_intensity(packets, at), counts)
+        keep(frame, pixels, read_u32(packets, at + 1), get_intensity(packets, at), counts)
     else:
-        _hand_on(packets, at, port, outputs, counts)
+        hand_on(packets, at, port, outputs, counts)
 
 
 @part
@@ -381,7 +239,7 @@ def _settle(cell, space, frame, pixels, packets, at, kind, outputs, counts):
         output = towards_corner(cell, space)
         if output == HOST:
             counts[DIED + PIXEL] += 1
-        _hand_on(packets, at, output, outputs, counts)
+        hand_on(packets, at, output, outputs, counts)
 
 
 @part
@@ -400,7 +258,7 @@ def step_one(cell, space, frame, surfaces, pixels, packets, at, port, outputs, c
         _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, met, outputs, counts)
     else:
         _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, met, outputs, counts)
-    _write_all_noted(cell, space, frame, pixels, outputs, counts)
+    write_all_noted(cell, space, frame, pixels, outputs, counts)
 
 
 @part
@@ -432,16 +290,7 @@ def _step_each(cell, space, frame, surfaces, pixels, packets, first, last, what,
         else:
             kind = np.int64(packets[at]) & 7
             _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, met, outputs, counts)
-    _write_all_noted(cell, space, frame, pixels, outputs, counts)
-
-
-@part
-def fullest(held):
-    """Packets held by the fullest output."""
-    most = np.int64(0)
-    for k in range(len(held)):
-        most = max(most, held[k])
-    return most
+    write_all_noted(cell, space, frame, pixels, outputs, counts)
 
 
 @lean

@@ -30,8 +30,9 @@ from numpy.typing import NDArray
 
 from .births import DONE, bear_primaries
 from .compiled import lean, part
+from .outputs import HEAD
 from .packets import KINDS, PRIMARY, SIZE, copy_packet
-from .step import HEAD, step_one
+from .step import step_one
 from .tables import BORN, COUNTS, DIED, SENT, WALKS
 from .walk import HOST, PORTS, SELF, SELF_RAYS
 

@@ -20,10 +20,10 @@ from .enquiry import Enquiries
 from .errors import ProtocolError
 from .link import Arrival, Link
 from .messages import MessageKind
+from .outputs import HEAD
 from .packets import FAULTS, SIZE, first_fault
 from .processor import Processor
 from .stamped import LAST, Enquiry, pack_enquiry, pack_stamped, read_enquiry, read_prices, read_stamped
-from .step import HEAD
 from .surfaces import Kind
 from .tables import COUNTS
 from .timed import (

@@ -13,13 +13,13 @@ from .hierarchy import DEPTH
 from .holdings import build_surfaces, empty_surfaces, refit_surfaces
 from .increments import Increments
 from .lattice import Cell, Space, make_cell
+from .outputs import HEAD, clear, make_outputs
 from .overlap import meets
 from .packets import PIXEL, SIZE, Limits
 from .pixels import Pixels, make_pixels, send_pixels
 from .programs import Compiled
 from .refit import WORSE, expected_cost
 from .rounds import go, no_wires
-from .step import HEAD, clear, make_outputs
 from .surfaces import AddedKind, Batch, SurfaceSet, merge
 from .tables import BORN, COUNTS, DIED, SENT, Frame, frame_limits
 from .turn import ADMIT_AT_ONCE, ADMIT_BELOW, CROWDED, IDLE, PORTION, TURN

@@ -47,7 +47,7 @@ def _narrow(inverse):
 
 
 @part
-def _for_boxes(o, inv):
+def for_boxes(o, inv):
     """(origin and inverse direction in binary32, the words of a node at which each axis' near planes begin)."""
     ray = (np.float32(o[0]), np.float32(o[1]), np.float32(o[2]), _narrow(inv[0]), _narrow(inv[1]), _narrow(inv[2]))
     near = (
@@ -88,7 +88,7 @@ def _leaf(surfaces, child):
 def open_root(surfaces, keys, at, o, inv, lower, upper):
     """Put the keys of the root's boxes that a ray meets into `keys`, int64, from place `at` on (WIDE places are
     overwritten); how many. There must be a root."""
-    ray, near = _for_boxes(o, inv)
+    ray, near = for_boxes(o, inv)
     high = np.float32(min(upper, FAREST))
     return push_boxes(surfaces.floats, np.int64(0), near, ray, np.float32(lower), high, keys, at)
 
@@ -103,7 +103,7 @@ def closest(surfaces, stack, o, d, inv, lower, upper, counts):
 @part
 def closest_below(surfaces, stack, met, o, d, inv, lower, upper, counts):
     """As `closest`, where the keys that `open_root` gives are on the stack already, this many."""
-    ray, near = _for_boxes(o, inv)
+    ray, near = for_boxes(o, inv)
     low = np.float32(lower)
     best, best_item, best_u, best_v = upper, np.int64(-1), 0.0, 0.0
     limit = _bits(best)
@@ -147,7 +147,7 @@ def blocked(surfaces, stack, o, d, inv, lower, upper, counts):
 @part
 def blocked_below(surfaces, stack, met, o, d, inv, lower, upper, counts):
     """As `blocked`, where the keys that `open_root` gives are on the stack already, this many."""
-    ray, near = _for_boxes(o, inv)
+    ray, near = for_boxes(o, inv)
     low, high = np.float32(lower), np.float32(min(upper, FAREST))
     top, opened = np.int64(0), 0
     while True:

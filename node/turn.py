@@ -10,8 +10,9 @@ from .backlog import CLASSES, MOST, RAYS, SHADOWS, TRAVELLERS
 from .births import DONE, bear_primaries
 from .compiled import part
 from .native import copy_bytes
+from .outputs import HEAD, fullest
 from .packets import SIZE
-from .step import HEAD, fullest, step
+from .step import step
 from .walk import SELF, SELF_RAYS
 
 PORTION = 2048  # packets in a call of the step

@@ -15,8 +15,8 @@ from raygrid.node.backlog import CLASSES
 from raygrid.node.link import Channel, Link
 from raygrid.node.memory_pair import MemoryPair
 from raygrid.node.messages import MessageKind
+from raygrid.node.outputs import HEAD
 from raygrid.node.packets import KINDS, SIZE
-from raygrid.node.step import HEAD
 from raygrid.node.surfaces import merge
 from raygrid.node.tables import BORN, DIED
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from support_surfaces import batch, random_rows
 
 from raygrid.node.messages import HEADER, MessageKind, pack_surfaces, seal
-from raygrid.node.step import HEAD
+from raygrid.node.outputs import HEAD
 from raygrid.node.surfaces import Batch, Kind
 
 

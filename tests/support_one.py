@@ -16,8 +16,9 @@ from support_surfaces import F64, batch
 
 from raygrid.node import packets
 from raygrid.node.lattice import HALF, nearest
+from raygrid.node.outputs import HEAD
 from raygrid.node.packets import SIZE, Packet, octahedral, pack_weight
-from raygrid.node.step import HEAD, step
+from raygrid.node.step import step
 from raygrid.node.surfaces import Kind, merge
 from raygrid.node.tables import Frame
 from raygrid.node.walk import OUTPUTS, SELF

@@ -27,9 +27,9 @@ from support_space import EVEN_STEP
 from raygrid.emulator.memory_array import MemoryArray
 from raygrid.node.errors import ArrayError, ProtocolError, Stuck
 from raygrid.node.messages import HEADER, MessageKind
+from raygrid.node.outputs import HEAD
 from raygrid.node.packets import FAULTS, SIZE
 from raygrid.node.processor import SUMS
-from raygrid.node.step import HEAD
 from raygrid.node.turn import IDLE
 from raygrid.node.walk import HOST
 

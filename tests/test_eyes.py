@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from raygrid.emulator.warm import _frame as one_frame
+from raygrid.emulator.warm import tiny_frame as one_frame
 from raygrid.node.camera import entry, eye_ray, image_point, primary_origin
 from raygrid.node.eyes import (
     EIGHT,

@@ -27,8 +27,8 @@ from raygrid.node.messages import (
     read_surfaces,
     seal,
 )
+from raygrid.node.outputs import HEAD
 from raygrid.node.packets import SIZE
-from raygrid.node.step import HEAD
 from raygrid.node.surfaces import Batch, Kind
 
 KINDS = list(MessageKind)

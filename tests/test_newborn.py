@@ -9,8 +9,8 @@ from raygrid.node.lattice import make_cell, make_space
 from raygrid.node.newborn import (
     BROOD,
     EIGHT,
-    RAYS,
-    SHADOWS,
+    RAY_BROOD,
+    SHADOW_BROOD,
     make_newborn,
     note,
     origin_beside,
@@ -82,7 +82,7 @@ def test_rays(births, cell):
     noted = [
         (REFLECTED | (3 << 3) | (sample << 8), 0, p, _unit(g), _unit(d), weight) for p, g, d, weight, sample in births
     ]
-    rows, ports = _write(RAYS, noted, cell)
+    rows, ports = _write(RAY_BROOD, noted, cell)
     for k, (p, _, _, weight, sample) in enumerate(births):
         g, d = noted[k][3], noted[k][4]
         origin, row = origin_beside(STEPS, p, g, d), np.zeros(SIZE, np.uint8)
@@ -106,7 +106,7 @@ def test_shadow_rays(births, cell):
         (SHADOW | (31 << 3) | (sample << 8), light, p, _unit(g), _unit(d), weight)
         for p, g, d, weight, sample, light in births
     ]
-    rows, ports = _write(SHADOWS, noted, cell)
+    rows, ports = _write(SHADOW_BROOD, noted, cell)
     for k, (p, _, _, weight, sample, light) in enumerate(births):
         origin, row = origin_beside(STEPS, p, noted[k][3], noted[k][4]), np.zeros(SIZE, np.uint8)
         put_shadow(row, 0, 31, sample, origin, light, weight)
@@ -114,7 +114,7 @@ def test_shadow_rays(births, cell):
         assert _first(ports[k]) == towards_start(cell, origin)
 
 
-@pytest.mark.parametrize("brood", [SHADOWS, RAYS])
+@pytest.mark.parametrize("brood", [SHADOW_BROOD, RAY_BROOD])
 def test_a_full_brood_says_so(brood):
     """Where there is room for no more, and only there; the other brood is left alone."""
     newborn = make_newborn()

@@ -30,10 +30,10 @@ from raygrid.node.link import CREDIT, DATA_DONE, DATA_DONE_TOLD, DATA_SENT, RECE
 from raygrid.node.main import open_links
 from raygrid.node.memory_pair import memory_pair
 from raygrid.node.messages import WINDOW, MessageKind, check_packets
+from raygrid.node.outputs import HEAD
 from raygrid.node.packets import REFLECTED, SIZE
 from raygrid.node.pair import Pair
 from raygrid.node.processor import Processor
-from raygrid.node.step import HEAD
 from raygrid.node.walk import HOST
 from raygrid.node.wired import Wired
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from raygrid.emulator.warm import _frame as one_frame
+from raygrid.emulator.warm import tiny_frame as one_frame
 from raygrid.node import ahead
 from raygrid.node.ahead import AHEAD, KNOWN, make_ahead, read_ahead, set_up_ahead
 from raygrid.node.lattice import make_cell, make_space

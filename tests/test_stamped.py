@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from raygrid.host.cost_models import load_cost_model
 from raygrid.node.errors import ProtocolError
+from raygrid.node.outputs import HEAD
 from raygrid.node.packets import SIZE
 from raygrid.node.stamped import (
     ASK,
@@ -24,7 +25,6 @@ from raygrid.node.stamped import (
     read_prices,
     read_stamped,
 )
-from raygrid.node.step import HEAD
 
 HEADER = bytes(HEAD)
 ticks = st.integers(0, LAST)

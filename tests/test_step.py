@@ -14,8 +14,8 @@ from support_surfaces import F64
 
 from raygrid.node import packets
 from raygrid.node.lattice import HALF
+from raygrid.node.outputs import HEAD
 from raygrid.node.packets import SIZE
-from raygrid.node.step import HEAD
 from raygrid.node.surfaces import Kind
 from raygrid.node.tables import BORN, BOXES, DIED, HITS, SENT, TESTS, WALKS
 from raygrid.node.walk import HOST, SELF, SELF_RAYS
