@@ -25,7 +25,11 @@ from raygrid.node.motions import Moves, groups_order, placed
 from raygrid.node.orders import frame_order, space_order
 from raygrid.node.outputs import HEAD
 from raygrid.node.packets import KINDS, PIXEL, PRIMARY, read_pixels
-from raygrid.node.processor import (
+from raygrid.node.processor import read_sums
+from raygrid.node.programs import Program, program_order
+from raygrid.node.surfaces import Batch, SurfaceSet
+from raygrid.node.tables import BORN, DIED, Frame
+from raygrid.node.tally import (
     ALLOWED,
     COLLECTING,
     DATA_DONE,
@@ -35,11 +39,9 @@ from raygrid.node.processor import (
     RECEIVED,
     REFUSED,
     WAITING,
-    read_sums,
+    pack_tally,
+    read_tallied,
 )
-from raygrid.node.programs import Program, program_order
-from raygrid.node.surfaces import Batch, SurfaceSet
-from raygrid.node.tables import BORN, DIED, Frame
 
 from .increments import Held, check_moves, increment
 
@@ -116,6 +118,9 @@ class Driver:
                 link.grant()
             elif arrival.kind == MessageKind.UP and corner == 0:
                 self._answer = read_order(arrival.message)
+            elif arrival.kind == MessageKind.TALLIED and corner == 0:
+                number, sums = read_tallied(arrival.message)
+                self._answer = {"wave": number, "sums": sums.tobytes()}
             else:
                 raise ProtocolError(f"link {link.name}: {arrival.kind.name} came, which a node never sends to the host")
 
@@ -140,13 +145,19 @@ class Driver:
         self._wave_number += 1
         self.waves += 1
         self._answer, self._answered = None, False
-        self.links[0].send_order(MessageKind.DOWN, {**order, "wave": self._wave_number})
+        tally = pack_tally(self._wave_number, order) if order["do"] == "trace" else None
+        if tally is None:
+            self.links[0].send_order(MessageKind.DOWN, {**order, "wave": self._wave_number})
+        else:
+            self.links[0].send_words(MessageKind.TALLY, tally)
         self._wait(lambda: self._answer is not None, f"the order {order['do']!r} came back")
         self._answered = True
         answer: dict[str, Any] = self._answer  # type: ignore[assignment]
         sums = answer["sums"] = read_sums(answer).tolist()
         if answer.get("wave") != self._wave_number:
             raise ProtocolError(f"wave {self._wave_number} ({order['do']}) came back as another one")
+        if sums[REFUSED] and tally is not None:  # which says how often, and another wave why
+            return self.wave({"do": "loaded"})
         if sums[REFUSED]:
             raise Garbled(f"{sums[REFUSED]} times a node refused what came: " + "; ".join(answer["refusals"]))
         return answer
@@ -353,7 +364,7 @@ class Driver:
                 break
             if time.monotonic() - since > self.patience + pixels / 1e4:
                 raise Stuck(f"{born} pixel packets were born and {died} reached a corner")
-            order = {"do": "trace", "quota": 0}
+            order = {"do": "trace", "quota": 0, "flush": EAGER_FLUSH}
         self._wait(lambda: self._pixels_received >= born, "all pixel packets are here")
         if self._pixels_received != born:
             raise Garbled(f"{self._pixels_received} pixel packets came, {born} were born")

@@ -120,6 +120,10 @@ class Link:
         """Send an order or answer; it needs no credit, because waves are few."""
         self._post(kind, pack_order(order))
 
+    def send_words(self, kind: MessageKind, payload: bytes) -> None:
+        """Send a message of a tally; no credit either."""
+        self._post(kind, payload)
+
     def send_data(self, kind: MessageKind, count: int, payload: bytes) -> None:
         """Send packets or surfaces, now or when there is credit."""
         self._wait_with(kind, count, payload)

@@ -29,7 +29,7 @@ from .outputs import HEAD
 from .packets import SIZE
 from .surfaces import OWN_HALF, STORED_AS, STRIDE, SURFACE_KINDS, AddedKind, Batch, Kind
 
-VERSION = 1
+VERSION = 2
 MAX_MESSAGE = (
     1 << 25
 )  # bytes; ZMQ_MAXMSGSIZE of every socket; a frame of the most materials and lights takes half of it
@@ -55,6 +55,8 @@ class MessageKind(IntEnum):
     BYE_ACK = 9
     STAMPED = 10  # packets with their ticks of machine time (`node.stamped`)
     ENQUIRY = 11  # a question how far a node may go in machine time, or its answer
+    TALLY = 12  # a wave of a trace on its way from the root (`node.tally`)
+    TALLIED = 13  # its answer
 
 
 _KINDS = {int(kind): kind for kind in MessageKind}

@@ -55,7 +55,7 @@ def _library_of(module: str) -> ctypes.CDLL:
 
 @cache
 def find_functions() -> NDArray[np.int64] | None:
-    """The table of addresses, int64 (ADDRESSES,), without a message and a clock; None if one cannot be found.
+    """The table of addresses, int64 (ADDRESSES,), without a message; None if one cannot be found.
 
     To be copied. A fork finds them where its parent did.
     """
@@ -69,19 +69,11 @@ def find_functions() -> NDArray[np.int64] | None:
         library = _library_of("xxhash._xxhash")
         names = [name for name in _CHECKSUMS if hasattr(library, name)]
         table[CHECKSUM] = _address_of(library, names[0])
-        table[SLEEP] = _address_of(ctypes.CDLL(None), _SLEEP)
+        table[SLEEP], table[CLOCK] = (_address_of(ctypes.CDLL(None), name) for name in (_SLEEP, _CLOCK))
     except (ImportError, AttributeError, IndexError, OSError):
         return None
     table[AGAIN] = int(zmq.EAGAIN)
     return table
-
-
-def find_clock() -> int:
-    """The address of the C library's `clock_gettime`, 0 if there is none."""
-    try:
-        return _address_of(ctypes.CDLL(None), _CLOCK)
-    except (AttributeError, OSError):
-        return 0
 
 
 def poll_items(sockets: Iterable[int], descriptors: Iterable[int]) -> NDArray[np.int64]:

@@ -1,7 +1,8 @@
 """One processor without its sockets: what it does with messages, waves and work.
 
 A wave is an order that enters at the root (0, 0, 0), runs over the tree of neighbour links to every node and
-comes back, summing. Every node obeys the order and answers once its children have:
+comes back, summing. Every node obeys the order and answers once its children have. `trace` travels as a tally
+(`node.tally`), of which compiled code takes care while a node traces; all others are maps.
 
     do        what a node does                                  answers when
     ready     nothing                                           its links are up
@@ -41,10 +42,35 @@ from .messages import MessageKind, check_packets, pack_surfaces, read_order, rea
 from .orders import read_frame, read_space
 from .overlap import meets
 from .packets import FAULTS, PacketKind
-from .rounds import NAPS
+from .rounds import BATCH, FLUSH, LEAST, NAP, NAPS
 from .surfaces import SURFACE_KINDS, AnyKind, Batch
 from .tables import BORN, BOXES, COUNTS, DIED, HITS, SENT, TESTS, WALKS
-from .tracer import FLUSH, Tracer
+from .tally import (
+    ALLOWED,
+    COLLECTING,
+    CURRENT,
+    DATA_DONE,
+    DATA_SENT,
+    DEADLINE,
+    FRESH,
+    HANDED_ON,
+    HOMES_LEFT,
+    PENDING,
+    RECEIVED,
+    REFUSED,
+    SUMS,
+    UNTOLD,
+    WAITING,
+    all_heard,
+    begin,
+    hear,
+    make_tally,
+    pack_tallied,
+    read_tallied,
+    read_tally,
+)
+from .tracer import FLUSH as USUAL_FLUSH
+from .tracer import Tracer
 from .trial import ready_program
 from .turn import IDLE
 from .usage import peak_memory, private_memory
@@ -60,11 +86,6 @@ PHASES = {
 }  # begun by an order
 MOST_REASONS = 100  # that are told apart, so that a hostile neighbour cannot fill the memory with them
 CLOGGED = 64  # waiting messages on a link at which no more surfaces are taken in
-
-# sums of a wave: the counts of node.tables, then these
-HOMES_LEFT, WAITING, RECEIVED, HANDED_ON, COLLECTING, REFUSED, ALLOWED, DATA_SENT, DATA_DONE = range(COUNTS, COUNTS + 9)
-SUMS = COUNTS + 9
-
 
 class Processor:
     """A node as its links see it.
@@ -95,11 +116,12 @@ class Processor:
         self._wave: dict[str, Any] | None = None
         self._answers: list[dict[str, Any]] = []
         self._deadline = 0.0
+        self.tally = make_tally(self._parent, tuple(self._children))
         self._received = self._handed_on = 0
         self._halted = self._built = False
         self.refused: Counter[str] = Counter()
         self._cpu_at_frame = 0.0
-        self.tracer.flush, self.tracer.batch = min(FLUSH, batch), batch
+        self.tracer.pace[FLUSH], self.tracer.pace[BATCH] = min(USUAL_FLUSH, batch), batch
         self._wired: Wired | None = None
         self._ports = list(links.items())
         self.choked = self._up = False
@@ -119,6 +141,10 @@ class Processor:
                 self._begin_wave(read_order(arrival.message))
             elif arrival.kind == MessageKind.UP and port in self._children:
                 self._answers.append(read_order(arrival.message))
+            elif arrival.kind == MessageKind.TALLY and port == self._parent:
+                self._begin_tally(read_tally(arrival.message))
+            elif arrival.kind == MessageKind.TALLIED and port in self._children:
+                hear(self.tally, port, *read_tallied(arrival.message))
             else:
                 self._take_other(port, link, arrival)
 
@@ -145,6 +171,8 @@ class Processor:
         self._flush()
         if self._wave is not None:
             self._maybe_answer()
+        elif self.tally.state[PENDING]:
+            self._maybe_answer_tally()
         return self.busy
 
     def _trace(self, wait: bool) -> None:
@@ -152,7 +180,7 @@ class Processor:
         if self._wired is None:
             self._work_on_packets(wait)
             return
-        self._wired.begin()
+        self._lend_tally(self._wired)
         port = self._wired.end(self._work_on_packets(wait))
         if port is not None:
             self.receive(port)
@@ -174,9 +202,12 @@ class Processor:
     def _may_wait(self) -> bool:
         """Whether nothing but a message can give this node more to do than packets."""
         answers = self._wave is not None and len(self._answers) == len(self._children)
-        return not (answers or self.choked or self._surfaces or self.tracer.increments.pending) and (
-            self.tracer.collecting < 0
-        )
+        return not (answers or self.choked or self._is_occupied)
+
+    @property
+    def _is_occupied(self) -> bool:
+        """Whether this node has something to do of which compiled code knows nothing."""
+        return bool(self._surfaces or self.tracer.increments.pending) or self.tracer.collecting >= 0
 
     @property
     def busy(self) -> bool:
@@ -186,6 +217,8 @@ class Processor:
 
     def wait_limit(self) -> float | None:
         """Seconds after which `work` must be called even if nothing arrives; None: never."""
+        if all_heard(self.tally):
+            return max(0.0, int(self.tally.state[DEADLINE]) * 1e-9 - self.clock())
         if self._wave is None or not self._deadline:
             return None
         return max(0.0, self._deadline - self.clock())
@@ -219,7 +252,7 @@ class Processor:
         """Send the outputs that are full enough, all of them when there is nothing else to do."""
         outputs = self.tracer.outputs
         held = outputs.held.tolist()
-        least = self.tracer.flush if self.tracer.has_work else 1
+        least = int(self.tracer.pace[FLUSH]) if self.tracer.has_work else 1
         self.choked = False
         for port, link in self._ports:
             if link.queued or link.urgent:
@@ -293,8 +326,7 @@ class Processor:
     # --- waves -------------------------------------------------------------------------------------
 
     def _begin_wave(self, order: dict[str, Any]) -> None:
-        if self._wave is not None:
-            raise ProtocolError(f"node {self.index}: a wave came before the last one was answered")
+        self._refuse_second_wave()
         self._wave, self._answers = order, []
         for port in self._children:
             self.links[port].send_order(MessageKind.DOWN, order)
@@ -304,6 +336,10 @@ class Processor:
             self._obey(order)
         except ProtocolError as error:
             self._refuse(f"node {self.index}: {error}")
+
+    def _refuse_second_wave(self) -> None:
+        if self._wave is not None or self.tally.state[PENDING]:
+            raise ProtocolError(f"node {self.index}: a wave came before the last one was answered")
 
     def _obey(self, order: dict[str, Any]) -> None:
         do = order.get("do")
@@ -342,8 +378,7 @@ class Processor:
             quota = order.get("quota")
             if type(quota) is not int or not 0 <= quota < 2**32:
                 raise ProtocolError(f"a quota came as {quota!r}, wanted a whole number")
-            self.tracer.quota = max(self.tracer.quota, quota)
-            self._set_pace(order)
+            self._admit(quota, *self._read_pace(order))
         elif do == "collect":
             self.tracer.collecting = 0
         elif do == "halt":
@@ -359,15 +394,20 @@ class Processor:
         self.refused.clear()
         self._halted = True
 
-    def _set_pace(self, order: dict[str, Any]) -> None:
-        """How eagerly to take turns and to send: see `Driver`. Raises ProtocolError."""
-        gather, linger, flush = order.get("gather", 0), order.get("linger", 0.0), order.get("flush", FLUSH)
+    def _read_pace(self, order: dict[str, Any]) -> tuple[int, int, int]:
+        """(gather, nap in microseconds, flush): how eagerly to take turns and to send. Raises ProtocolError."""
+        gather, linger, flush = order.get("gather", 0), order.get("linger", 0.0), order.get("flush", USUAL_FLUSH)
         if type(gather) is not int or type(flush) is not int or not isinstance(linger, float) or not 0 <= linger <= 1:
             raise ProtocolError(
                 f"gather, linger and flush came as {gather!r}, {linger!r}, {flush!r}, wanted packets, seconds, packets"
             )
-        tracer = self.tracer
-        tracer.gather, tracer.nap, tracer.flush = gather, int(linger * 1e6) // NAPS, max(1, min(flush, self.batch))
+        return gather, int(linger * 1e6), flush
+
+    def _admit(self, quota: int, gather: int, nap: int, flush: int) -> None:
+        """Let more primaries be born, and set the pace: see `Driver`."""
+        pace = self.tracer.pace
+        self.tracer.quota = max(self.tracer.quota, quota)
+        pace[LEAST], pace[NAP], pace[FLUSH] = gather, nap // NAPS, max(1, min(flush, self.batch))
 
     def _maybe_answer(self) -> None:
         """Answer the wave once the children have and this node is ready to."""
@@ -395,25 +435,67 @@ class Processor:
         return not self.busy and not self._surfaces and all(link.waiting == 0 for link in self.links.values())
 
     def _own_answer(self, do: str) -> dict[str, Any]:
-        tracer = self.tracer
-        waiting = tracer.backlog.held + int(tracer.outputs.held.sum())
-        extra = [
-            int(tracer.samples_left),
-            waiting,
-            self._received,
-            self._handed_on,
-            int(tracer.collecting >= 0),
-            sum(self.refused.values()),
-            tracer.quota if tracer.samples_left else 0,
-            sum(link.data_sent for link in self.links.values()),
-            sum(link.data_done for link in self.links.values()),
-        ]
-        sums = np.concatenate((tracer.counts, extra)).astype("<i8").tobytes()
-        answer: dict[str, Any] = {"sums": sums, "nodes": []}
+        answer: dict[str, Any] = {"sums": self._own_sums().astype("<i8").tobytes(), "nodes": []}
         answer["refusals"] = [f"{why} ({times} times)" for why, times in self.refused.most_common(3)]
         if do == "report":
             answer["nodes"] = [self.record()]
         return answer
+
+    def _own_sums(self) -> NDArray[np.int64]:
+        """What this node adds to the sums of a wave."""
+        tracer, sums = self.tracer, np.zeros(SUMS, np.int64)
+        sums[:COUNTS] = tracer.counts
+        sums[HOMES_LEFT] = tracer.samples_left
+        sums[WAITING] = tracer.backlog.held + tracer.outputs.held.sum()
+        sums[RECEIVED], sums[HANDED_ON], sums[COLLECTING] = self._received, self._handed_on, tracer.collecting >= 0
+        sums[REFUSED] = sum(self.refused.values())
+        sums[ALLOWED] = tracer.quota if tracer.samples_left else 0
+        sums[DATA_SENT] = sum(link.data_sent for link in self.links.values())
+        sums[DATA_DONE] = sum(link.data_done for link in self.links.values())
+        return sums
+
+    # --- tallies -----------------------------------------------------------------------------------
+
+    def _begin_tally(self, fields: list[int]) -> None:
+        self._refuse_second_wave()
+        begin(self.tally, fields, int(self.clock() * 1e9))
+        self._tell_children()
+        self.tally.state[FRESH] = 0
+        if self.tracer.frame is None:
+            self._refuse(f"node {self.index}: the order 'trace' came before a frame")
+            return
+        _, quota, _, gather, nap, flush = fields
+        self._admit(quota, gather, nap, flush)
+
+    def _tell_children(self) -> None:
+        """Hand a tally on to the children that have not been told of it."""
+        state, payload = self.tally.state, self.tally.order.astype("<i8").tobytes()
+        for port in self._children:
+            if state[UNTOLD] >> port & 1:
+                self.links[port].send_words(MessageKind.TALLY, payload)
+        state[UNTOLD] = 0
+
+    def _maybe_answer_tally(self) -> None:
+        """As `_maybe_answer`, of a tally; and go on with what compiled code could not send."""
+        state = self.tally.state
+        if state[UNTOLD]:
+            self._tell_children()
+        if not all_heard(self.tally) or (int(self.clock() * 1e9) < state[DEADLINE] and not self._idle()):
+            return
+        payload = pack_tallied(int(state[CURRENT]), self.tally.sums + self._own_sums())
+        state[PENDING] = 0
+        self.links[self._parent].send_words(MessageKind.TALLIED, payload)
+
+    def _lend_tally(self, wired: Wired) -> None:
+        """Let compiled code take care of tallies while no other wave is under way."""
+        known = self.tally.known
+        known[RECEIVED], known[HANDED_ON], known[COLLECTING] = self._received, self._handed_on, self.tracer.collecting >= 0
+        known[REFUSED] = sum(self.refused.values())
+        strange = [link for port, link in self._ports if not wired.keeps(port)]
+        known[DATA_SENT] = sum(link.data_sent for link in strange)
+        known[DATA_DONE] = sum(link.data_done for link in strange)
+        queued = any(link.waiting for link in self.links.values())
+        wired.begin(self._wave is None and not self._halted, self._is_occupied or queued)
 
     def record(self) -> dict[str, Any]:
         """What this node says of itself, JSON-able."""

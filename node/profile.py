@@ -1,7 +1,7 @@
 """Where a node spends its time: for `--profile` only, attached from outside, so that nothing is paid for it else.
 
 Seconds are CPU seconds of the node's thread, except `wait`, which is what the wall clock shows beside them: the node
-slept, or another process had the processor. Compiled code counts its own (`rounds.Wires.spent`). What happens inside
+slept, or another process had the processor. Compiled code counts its own (`wires.Wires.spent`). What happens inside
 its turns is sampled: before one call in EVERY some of the packets that wait are decoded, walked, and searched for hits
 once more, by the same functions, each time from the beginning; the differences, a packet, times the packets of all
 turns are the parts. Births are sampled likewise.
@@ -135,7 +135,7 @@ class Profile:
         if self._calls % EVERY == 1 and self._processor.tracer.frame is not None:
             self._sample()
         spent = self._processor.tracer.wires.spent
-        spent[:] = 0
+        spent[:3] = 0
         served = time.thread_time()
         why = self._serve(wait)
         whole = time.thread_time() - served

@@ -1,11 +1,9 @@
 """Rounds of a node in compiled code: look at the links, take a turn, send, and so on, until Python is needed.
 
-Only what is wholly regular is dealt with here: PACKETS and CREDIT messages of this epoch, in sequence, with their own
-checksum, over links that are up and where nothing waits to be sent. Anything else, a fault as well as an order of a
-wave, ends the rounds and is left to `node.link`, as if it had just come; so the rules of links are in one place only,
-and a node without wires (in-memory arrays, faulty links) does the same in Python.
-
-A link's book (`node.link`) is a row of `Wires.books`, so that both keep the same accounts.
+Only what is wholly regular is dealt with here: packets, credit and tallies (`node.tally`) of this epoch, in sequence,
+with their own checksum, over links that are up and where nothing waits to be sent. Anything else, a fault as well as an
+order of another wave, ends the rounds and is left to `node.link`, as if it had just come; so the rules of links are in
+one place only, and a node without wires (in-memory arrays, faulty links) does the same in Python.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
@@ -13,36 +11,33 @@ A link's book (`node.link`) is a row of `Wires.books`, so that both keep the sam
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
-from . import native
+from . import native, tally
 from .backlog import RAYS, SHADOWS, TRAVELLERS, sort
 from .births import DONE
 from .compiled import lean, part
-from .link import (
-    BOOK,
-    BYTES_SENT,
-    CREDIT,
-    DATA_DONE,
-    DATA_DONE_TOLD,
-    DATA_SENT,
-    EPOCH,
-    MESSAGES_SENT,
-    RECEIVED,
-    REGULAR,
-    SENT,
-    SOCKET,
-)
+from .link import CREDIT, DATA_DONE, DATA_DONE_TOLD, DATA_SENT, EPOCH, RECEIVED, REGULAR, SOCKET
 from .messages import SUMMED, WINDOW, MessageKind
 from .native import address, bytes_at, call_int, call_long
 from .outputs import HEAD
-from .packets import SIZE, read_u16, read_u32, write
+from .packets import SIZE, read_u16, read_u32
 from .pair import NOBLOCK
+from .tally import (
+    ANSWER_BYTES,
+    DEADLINE,
+    FRESH,
+    GATHER,
+    OCCUPIED,
+    ORDER_BYTES,
+    PARENT,
+    PENDING,
+    QUOTA,
+    UNTOLD,
+)
 from .turn import CROWDED, FULL, IDLE, LONG, turn
-from .walk import HOST, PORTS
+from .walk import HOST
+from .wires import LINKS, MONOTONIC, OF_THREAD, RECEIVING, SENDING, TIMED, TURNING, checksum, clock, post
 
 # further reasons to end, after those of a turn
 SEND, OTHER = 4, 5  # Python has something to send; OTHER + port: a message for Python
@@ -51,82 +46,41 @@ LEAST_ROUND = 1024  # packets as which a round counts at least, so that a trickl
 NAPS = 4  # that make up the time for which a node may linger
 DROWSY_FLUSH = 256  # packets for which an output is sent before a nap
 _PACKETS, _CREDIT = int(MessageKind.PACKETS), int(MessageKind.CREDIT)
-# places in Wires.spent and Pace
-RECEIVING, TURNING, SENDING = 0, 1, 2
-AFTER, BELOW, AT_ONCE, FLUSH, LEAST, NAP, BATCH, WAIT = range(8)
-
-
-class Wires(NamedTuple):
-    """What compiled code needs to serve links.
-
-    books   int64 (PORTS, BOOK): the books of the links to neighbours; those without a socket are left to Python
-    calls   int64 (native.ADDRESSES,)
-    spent   int64 (5,): nanoseconds of receiving, turns and sending, if there is a clock; and room for what it says
-    header  uint8 (HEAD,): room for a header
-    items   int64 (n, 2): all that a node waits for (`native.poll_items`), sockets of neighbours first
-    ports   int64 (n,): the ports of these, -1 for what Python looks after
-    """
-
-    books: NDArray[np.int64]
-    calls: NDArray[np.int64]
-    spent: NDArray[np.int64]
-    header: NDArray[np.uint8]
-    items: NDArray[np.int64]
-    ports: NDArray[np.int64]
-
-
-def no_wires() -> Wires:
-    """Of a node whose links are served by Python alone."""
-    zeros = np.zeros((PORTS, BOOK), np.int64), np.zeros(native.ADDRESSES, np.int64), np.zeros(5, np.int64)
-    return Wires(*zeros, np.zeros(HEAD, np.uint8), np.zeros((0, 2), np.int64), np.zeros(0, np.int64))
-
-
-@part
-def _checksum(wires, first, size):
-    """The checksum of a message (`node.messages`) from its first address on."""
-    seed = call_long(wires.calls[native.CHECKSUM], (first, np.int64(SUMMED), np.int64(0)))
-    return call_long(wires.calls[native.CHECKSUM], (first + HEAD, size - HEAD, seed)) & 0xFFFFFFFF
-
-
-@part
-def _post(wires, book, kind, count, raw, at, size):
-    """Write the header of a message of `size` bytes that begins at `at`, and send it; whether it went."""
-    raw[at], raw[at + 1] = kind, 0
-    write(raw, at + 2, book[EPOCH], 2)
-    write(raw, at + 4, book[SENT], 4)
-    write(raw, at + 8, book[DATA_DONE], 4)
-    write(raw, at + 12, count, 4)
-    first = address(raw, np.int64(at))
-    write(raw, at + SUMMED, _checksum(wires, first, size), 4)
-    if call_int(wires.calls[native.SEND], (book[SOCKET], first, size, np.int64(NOBLOCK))) < 0:
-        return False
-    book[SENT] += 1
-    book[DATA_DONE_TOLD] = book[DATA_DONE]
-    book[MESSAGES_SENT] += 1
-    book[BYTES_SENT] += size
-    return True
+_TALLY, _TALLIED = int(MessageKind.TALLY), int(MessageKind.TALLIED)
+# places in Tracer.pace: the first three are those of `turn`
+AFTER, BELOW, AT_ONCE, FLUSH, LEAST, NAP, BATCH, WAIT, PACE = range(9)
 
 
 # --- receiving -----------------------------------------------------------------------------------------
 
 
 @part
-def _is_regular(wires, book, raw, first, size):
-    """Whether a message is one of packets or credit, in its turn, whole and believable."""
-    kind, count = np.int64(raw[0]), read_u32(raw, 12)
-    if (kind != _PACKETS and kind != _CREDIT) or raw[1] != 0 or read_u16(raw, 2) != book[EPOCH]:
-        return False
-    if read_u32(raw, 4) != book[RECEIVED] & 0xFFFFFFFF or size != HEAD + count * SIZE:
-        return False
-    if (kind == _PACKETS) != (count > 0):
+def _is_in_turn(wires, book, raw, first, size):
+    """Whether a message is the next one of a link in this epoch, whole and believable."""
+    if raw[1] != 0 or read_u16(raw, 2) != book[EPOCH] or read_u32(raw, 4) != book[RECEIVED] & 0xFFFFFFFF:
         return False
     if (read_u32(raw, 8) - book[CREDIT]) & 0xFFFFFFFF > book[DATA_SENT] - book[CREDIT]:
         return False
-    return read_u32(raw, SUMMED) == _checksum(wires, first, size)
+    return read_u32(raw, SUMMED) == checksum(wires, first, size)
 
 
 @part
-def _take_in(raw, count, port, bounds, stacks, held):
+def _is_regular(wires, port, raw, size):
+    """Whether a message is one that is dealt with here, and as long as its kind is."""
+    kind, count, payload = np.int64(raw[0]), read_u32(raw, 12), size - HEAD
+    if kind == _PACKETS:
+        return count > 0 and payload == count * SIZE and port != HOST
+    if count != 0:
+        return False
+    if kind == _TALLY:
+        return payload == ORDER_BYTES and tally.may_begin(wires.tally, port, raw)
+    if kind == _TALLIED:
+        return payload == ANSWER_BYTES and tally.may_hear(wires.tally, port, raw)
+    return kind == _CREDIT and payload == 0
+
+
+@part
+def _take_packets(raw, count, port, bounds, stacks, held):
     """Put all packets of a message on the stacks, or none if one is bad or there is no room; whether it was done."""
     if count > min(len(stacks.ray_ports) - held[RAYS], len(stacks.shadow_ports) - held[SHADOWS]):
         return False
@@ -137,6 +91,15 @@ def _take_in(raw, count, port, bounds, stacks, held):
     if bad != 0:
         held[0], held[1], held[2], held[3] = before
     return bad == 0
+
+
+@part
+def _take_tally(wires, port, raw):
+    """Take in a message of a tally."""
+    if np.int64(raw[0]) == _TALLY:
+        tally.begin_here(wires.tally, raw, clock(wires, MONOTONIC))
+    else:
+        tally.hear_here(wires.tally, port, raw)
 
 
 @part
@@ -151,17 +114,19 @@ def _receive(wires, port, bounds, stacks, held):
         if size < HEAD or call_int(calls[native.MORE], (message,)) != 0:
             return False
         raw = bytes_at(first, size)
-        if not _is_regular(wires, book, raw, first, size):
+        if not _is_regular(wires, port, raw, size) or not _is_in_turn(wires, book, raw, first, size):
             return False
         count = read_u32(raw, 12)
-        if count > 0 and not _take_in(raw, count, port, bounds, stacks, held):
+        if count > 0 and not _take_packets(raw, count, port, bounds, stacks, held):
             return False
         book[RECEIVED] += 1
         book[CREDIT] += (read_u32(raw, 8) - book[CREDIT]) & 0xFFFFFFFF
         if count > 0:
             book[DATA_DONE] += 1
             if book[DATA_DONE] - book[DATA_DONE_TOLD] >= WINDOW // 2:
-                _post(wires, book, _CREDIT, 0, wires.header, 0, np.int64(HEAD))
+                post(wires, book, _CREDIT, 0, wires.header, 0, np.int64(HEAD))
+        elif size > HEAD:
+            _take_tally(wires, port, raw)
 
 
 # --- sending -------------------------------------------------------------------------------------------
@@ -177,7 +142,7 @@ def _send(wires, port, outputs, least, batch):
     while outputs.held[port] - sent >= least and book[DATA_SENT] - book[CREDIT] < WINDOW:
         many = min(batch, outputs.held[port] - sent)
         # the header of a later message takes the place of bytes that were sent
-        if not _post(wires, book, _PACKETS, many, row, sent * SIZE, HEAD + many * SIZE):
+        if not post(wires, book, _PACKETS, many, row, sent * SIZE, HEAD + many * SIZE):
             break
         book[DATA_SENT] += 1
         sent += many
@@ -193,24 +158,72 @@ def _send_all(wires, outputs, least, pressed, batch):
     """Send the outputs with `least` packets or more; whether Python is needed: for an output that is not for this code,
     and where something could not go and that cannot wait (pressed)."""
     needed = False
-    for port in range(HOST + 1):
+    for port in range(LINKS):
         if outputs.held[port] >= least:
-            wired = port < PORTS and wires.books[port, REGULAR] != 0
+            wired = wires.books[port, REGULAR] != 0
             if not wired or (not _send(wires, port, outputs, least, batch) and pressed):
                 needed = True
     return needed
+
+
+# --- tallies -------------------------------------------------------------------------------------------
+
+
+@part
+def _tell_children(wires):
+    """Hand a tally on to those children that have not been told yet; whether all have."""
+    one, state = wires.tally, wires.tally.state
+    if state[UNTOLD] == 0:
+        return True
+    for k in range(tally.ORDER):
+        tally.put_word(one.room, k, one.order[k])
+    for port in range(LINKS):
+        if (state[UNTOLD] >> port) & 1 != 0:
+            if not post(wires, wires.books[port], _TALLY, 0, one.room, 0, np.int64(HEAD + ORDER_BYTES)):
+                return False
+            state[UNTOLD] &= ~(1 << port)
+    return True
+
+
+@part
+def _answer_tally(wires, idle, quota, cursor, held, outputs, counts):
+    """Answer a tally if it is time for that; whether Python is needed for it."""
+    state = wires.tally.state
+    if not tally.waits_for_node(wires.tally):
+        return False
+    if not (idle and state[OCCUPIED] == 0) and clock(wires, MONOTONIC) < state[DEADLINE]:
+        return False
+    sent, done = np.int64(0), np.int64(0)
+    for port in range(LINKS):
+        sent += wires.books[port, DATA_SENT]
+        done += wires.books[port, DATA_DONE]
+    tally.put_answer(wires.tally, quota, cursor, held, outputs, counts, sent, done)
+    book, size = wires.books[state[PARENT]], np.int64(HEAD + ANSWER_BYTES)
+    if not post(wires, book, _TALLIED, 0, wires.tally.room, 0, size):
+        return True
+    state[PENDING] = 0
+    return False
+
+
+@part
+def _heed_tally(wires, quota, pace):
+    """Do what a tally orders that has just come; the quota."""
+    order = wires.tally.order
+    pace[LEAST], pace[NAP] = order[GATHER], order[tally.NAP] // NAPS
+    pace[FLUSH] = min(order[tally.FLUSH], pace[BATCH])
+    wires.tally.state[FRESH] = 0
+    return max(quota, order[QUOTA])
 
 
 # --- rounds --------------------------------------------------------------------------------------------
 
 
 @part
-def _clock(wires, place, since):
-    """Count the nanoseconds of this thread since then for a place in `spent`; now. Nothing without a clock."""
-    if wires.calls[native.CLOCK] == 0:
+def _count_time(wires, place, since):
+    """Count the nanoseconds of this thread since then for a place in `spent`; now. Nothing unless rounds are timed."""
+    if wires.spent[TIMED] == 0:
         return since
-    call_int(wires.calls[native.CLOCK], (np.int64(3), address(wires.spent, np.int64(3))))  # CLOCK_THREAD_CPUTIME_ID
-    now = wires.spent[3] * 1_000_000_000 + wires.spent[4]
+    now = clock(wires, OF_THREAD)
     if place >= 0:
         wires.spent[place] += now - since
     return now
@@ -219,7 +232,7 @@ def _clock(wires, place, since):
 @part
 def _receive_all(wires, bounds, stacks, held):
     """Take in what has come over all links; -1, or the port of a link with a message for Python."""
-    for port in range(PORTS):
+    for port in range(LINKS):
         if wires.books[port, REGULAR] != 0 and not _receive(wires, port, bounds, stacks, held):
             return port
     return -1
@@ -242,27 +255,33 @@ def _wait(wires):
 def go(cell, space, frame, surfaces, pixels, cursor, quota, pace, bounds, stacks, held, outputs, counts, wires):
     """Go rounds until nothing is left to do, or for a reason above. Returns (quota left, why).
 
-    pace    AFTER, BELOW, AT_ONCE: of `turn`; FLUSH: packets for which an output is sent while there is work;
-            LEAST: packets that are worth a turn; NAP: microseconds, for which a node sleeps NAPS times before it takes
-            one that is not;
-            BATCH: most packets a message; WAIT: whether to wait where nothing is left to do, until something comes
+    pace    int64 (PACE,). AFTER, BELOW, AT_ONCE: of `turn`; FLUSH: packets for which an output is sent while there is
+            work; LEAST: packets that are worth a turn; NAP: microseconds, for which a node sleeps NAPS times before it
+            takes one that is not; BATCH: most packets a message; WAIT: whether to wait where nothing is left to do,
+            until something comes. Tallies change FLUSH, LEAST and NAP
     bounds  int64, the fields of `Limits`
     Without wires it is one turn. The other arguments are those of `turn`.
     """
-    served, naps, since, wired = 0, NAPS, _clock(wires, -1, 0), False
-    for port in range(PORTS):
+    served, naps, since, wired = 0, NAPS, _count_time(wires, -1, 0), False
+    for port in range(LINKS):
         wired = wired or wires.books[port, REGULAR] != 0
     while True:
         odd = _receive_all(wires, bounds, stacks, held)
-        since = _clock(wires, RECEIVING, since)
+        if wires.tally.state[FRESH] != 0:
+            quota = _heed_tally(wires, quota, pace)
+        told = _tell_children(wires)
+        since = _count_time(wires, RECEIVING, since)
         if odd >= 0:
             return quota, OTHER + odd
+        if not told:
+            return quota, SEND
         waiting = held[TRAVELLERS] + held[SHADOWS] + held[RAYS]
         if quota == 0 or cursor[DONE] != 0:
             drowsy = wired and 0 < waiting < pace[LEAST] and naps > 0
             if waiting == 0 or drowsy:
                 needed = _send_all(wires, outputs, DROWSY_FLUSH if drowsy else 1, True, pace[BATCH])
-                since = _clock(wires, SENDING, since)
+                needed = needed or _answer_tally(wires, not drowsy, quota, cursor, held, outputs, counts)
+                since = _count_time(wires, SENDING, since)
                 if needed:
                     return quota, SEND
                 if drowsy:
@@ -276,11 +295,12 @@ def go(cell, space, frame, surfaces, pixels, cursor, quota, pace, bounds, stacks
         quota, why, done = turn(
             cell, space, frame, surfaces, pixels, cursor, quota, pace, stacks, held, outputs, counts
         )
-        since = _clock(wires, TURNING, since)
+        since = _count_time(wires, TURNING, since)
         if not wired or why == CROWDED:
             return quota, why
         needed = _send_all(wires, outputs, pace[FLUSH], why == FULL, pace[BATCH])
-        since = _clock(wires, SENDING, since)
+        needed = needed or _answer_tally(wires, False, quota, cursor, held, outputs, counts)
+        since = _count_time(wires, SENDING, since)
         served += max(done, LEAST_ROUND)
         if needed or served >= ROUNDS:
             return quota, SEND if needed else LONG

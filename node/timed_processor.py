@@ -89,11 +89,14 @@ class TimedProcessor(Processor):
         do = order.get("do")
         if do == "frame":
             self._begin_frame(order)
-        elif do == "trace" and self._prices is not None:
-            self.tracer.quota = 0  # births follow machine time, not the root
-            self._started = self._dirty = True
         elif do in ("collect", "halt", "space"):
             self._prices, self._started, self._why = None, False, IDLE
+
+    def _admit(self, quota: int, gather: int, nap: int, flush: int) -> None:
+        super()._admit(quota, gather, nap, flush)
+        if self._prices is not None:
+            self.tracer.quota = 0  # births follow machine time, not the root
+            self._started = self._dirty = True
 
     def _begin_frame(self, order: dict[str, Any]) -> None:
         found = read_prices(order)

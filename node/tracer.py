@@ -19,11 +19,13 @@ from .packets import PIXEL, SIZE, Limits
 from .pixels import Pixels, make_pixels, send_pixels
 from .programs import Compiled
 from .refit import WORSE, expected_cost
-from .rounds import go, no_wires
+from .rounds import AFTER, AT_ONCE, BATCH, BELOW, PACE, WAIT, go
+from .rounds import FLUSH as PACE_FLUSH
 from .surfaces import AddedKind, Batch, SurfaceSet, merge
 from .tables import BORN, COUNTS, DIED, SENT, Frame, frame_limits
 from .turn import ADMIT_AT_ONCE, ADMIT_BELOW, CROWDED, IDLE, PORTION, TURN
 from .walk import HOST, OUTPUTS, SELF_RAYS
+from .wires import no_wires
 
 CHUNK = 8192  # pixel packets sent in a turn
 FLUSH = 256  # packets for which an output is sent although there is work, unless the root says otherwise
@@ -34,7 +36,7 @@ class Tracer:
     """State of one node between two messages.
 
     counts     int64, see `node.tables`: what the machine did for this frame
-    flush, gather, nap, batch  how eagerly it sends and takes turns (`rounds.go`)
+    pace       int64 (PACE,), how eagerly it sends and takes turns (`rounds.go`)
     quota      primaries that this node may still bear before it hears from the root again
     samples_left  whether primaries of this node are still to be born
     retained      descriptions of surfaces, of moving ones as they are at rest
@@ -53,7 +55,9 @@ class Tracer:
         self.ready: Compiled | None = None  # a program that is to be used next
         self._go = go
         self.wires = no_wires()
-        self.flush, self.gather, self.nap, self.batch = FLUSH, 0, 0, FLUSH
+        self.pace = np.zeros(PACE, np.int64)
+        self.pace[AFTER], self.pace[BELOW], self.pace[AT_ONCE] = TURN, ADMIT_BELOW, ADMIT_AT_ONCE
+        self.pace[PACE_FLUSH] = self.pace[BATCH] = FLUSH
         self._stale = False  # whether what is retained has changed since the tables were made
         self._built_cost = 0.0  # expected cost of the hierarchy when it was built, 0: not worked out
         self.surfaces = empty_surfaces()
@@ -176,6 +180,7 @@ class Tracer:
         if self._crowded:
             births = PORTION * max(self.frame.n_lights, 2)
             backlog.make_room(0, births, max(births, ADMIT_AT_ONCE))
+        self.pace[WAIT] = wait
         self.quota, why = self._go(
             self.cell,
             self.space,
@@ -184,7 +189,7 @@ class Tracer:
             self.pixels,
             self.cursor,
             self.quota,
-            (TURN, ADMIT_BELOW, ADMIT_AT_ONCE, self.flush, self.gather, self.nap, self.batch, wait),
+            self.pace,
             backlog.bounds,
             backlog.stacks,
             backlog.count,

@@ -9,24 +9,30 @@ import numpy as np
 from . import native
 from .link import REGULAR, SOCKET, Link
 from .pair import Pair
-from .rounds import OTHER, no_wires
-from .walk import HOST
+from .rounds import OTHER
+from .tally import CHILDREN, OCCUPIED, PARENT, SERVED, Tally
+from .wires import TIMED, no_wires
 
 
 class Wired:
-    """Links to neighbours over PAIR sockets of this process.
+    """Links over PAIR sockets of this process.
 
     wires   their tables, for `rounds.go`
     """
 
     def __init__(
-        self, links: Mapping[int, Link], pairs: Mapping[int, Pair], others: Iterable[int] = (), timed: bool = False
+        self,
+        links: Mapping[int, Link],
+        pairs: Mapping[int, Pair],
+        tally: Tally,
+        others: Iterable[int] = (),
+        timed: bool = False,
     ) -> None:
         """Take over the books of the links whose channels are these pairs.
 
-        others  descriptors for which a node waits as well; timed  let the rounds be timed
+        tally  of the node; others  descriptors for which a node waits as well; timed  let the rounds be timed
         """
-        self.wires = no_wires()
+        self.wires = no_wires(tally)
         self._links: dict[int, Link] = {}
         self._pairs = pairs
         self._message: native.Message | None = None
@@ -34,10 +40,10 @@ class Wired:
         if calls is None:
             return
         self.wires.calls[:] = calls
-        self.wires.calls[native.CLOCK] = native.find_clock() if timed else 0
+        self.wires.spent[TIMED] = timed
         self._message = native.Message(self.wires.calls)
         for port, link in links.items():
-            if port != HOST and link.channel is pairs.get(port):
+            if link.channel is pairs.get(port):
                 link.keep_book(self.wires.books[port])
                 self.wires.books[port, SOCKET] = pairs[port].socket.underlying
                 self._links[port] = link
@@ -47,10 +53,18 @@ class Wired:
             items=items, ports=np.array(ports + [-1] * (len(items) - len(ports)), np.int64)
         )
 
-    def begin(self) -> None:
-        """Before rounds: mark the links that are regular."""
+    def begin(self, tallies: bool, occupied: bool) -> None:
+        """Before rounds: mark the links that are regular, and whether compiled code may take care of tallies.
+
+        tallies   whether Python leaves them to it, if their links are regular; occupied  as in `Tally`
+        """
+        regular = 0
         for port, link in self._links.items():
             self.wires.books[port, REGULAR] = link.regular
+            regular |= link.regular << port
+        state = self.wires.tally.state
+        wanted = int(state[CHILDREN]) | 1 << int(state[PARENT])
+        state[SERVED], state[OCCUPIED] = tallies and regular & wanted == wanted, occupied
 
     def end(self, why: int) -> int | None:
         """After rounds that ended for this reason: the port of a link of which Python must receive, if there is one."""
@@ -62,6 +76,10 @@ class Wired:
         port = why - OTHER
         self._pairs[port].put_back(self._message.copy(), self._message.has_more)
         return port
+
+    def keeps(self, port: int) -> bool:
+        """Whether the book of a link is one of the tables."""
+        return port in self._links
 
     def serves(self, port: int) -> bool:
         """Whether compiled code would receive what comes at a port now."""

@@ -29,7 +29,7 @@ from raygrid.node.errors import ArrayError, ProtocolError, Stuck
 from raygrid.node.messages import HEADER, MessageKind
 from raygrid.node.outputs import HEAD
 from raygrid.node.packets import FAULTS, SIZE
-from raygrid.node.processor import SUMS
+from raygrid.node.tally import SUMS
 from raygrid.node.turn import IDLE
 from raygrid.node.walk import HOST
 

@@ -50,6 +50,8 @@ HEADERS = {
     MessageKind.BYE_ACK: ((7, 257, 0, 0), "09 00 0700 01010000 00000000 00000000 51adfc5a"),
     MessageKind.STAMPED: ((1, 3, 2, 5), "0a 00 0100 03000000 02000000 05000000 120b279f"),
     MessageKind.ENQUIRY: ((1, 4, 2, 0), "0b 00 0100 04000000 02000000 00000000 cb331f7f"),
+    MessageKind.TALLY: ((2, 5, 7, 0), "0c 00 0200 05000000 07000000 00000000 517b8c1e"),
+    MessageKind.TALLIED: ((2, 6, 7, 0), "0d 00 0200 06000000 07000000 00000000 320acc9a"),
 }
 
 
@@ -118,7 +120,7 @@ def test_a_message_of_a_wrong_length_is_refused(length):
         read_header(bytes(length))
 
 
-@pytest.mark.parametrize(("kind", "zero"), [(0, 0), (12, 0), (255, 0), (3, 1)])
+@pytest.mark.parametrize(("kind", "zero"), [(0, 0), (14, 0), (255, 0), (3, 1)])
 def test_a_header_of_no_known_kind_is_refused(kind, zero):
     with pytest.raises(ProtocolError, match="wanted a known kind and a zero byte"):
         read_header(message(kind, zero=zero))
