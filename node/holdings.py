@@ -6,6 +6,7 @@ hold the same surface test it with the same numbers. Only boxes in the hierarchy
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -211,8 +212,9 @@ def _assembled(batches: list[Batch], order: NDArray[np.intp], floats: NDArray[np
     )
 
 
+@cache
 def empty_surfaces() -> Surfaces:
-    """The tables of a node that retains nothing: no hierarchy, which the ray step skips."""
+    """The tables of a node that retains nothing: no hierarchy, which the ray step skips. Not to be written to."""
     floats = np.zeros((0, WORDS), np.float32)
     numbers = np.zeros(0, np.uint32)
     return Surfaces(floats, floats.view(np.uint32), numbers, numbers, np.zeros(0, np.uint16), *_tables({}))
