@@ -22,14 +22,13 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba.core import event
 from numpy.typing import NDArray
 
-from raygrid.node.compiled import lean, part
+from raygrid.node.compiled import is_on_disk, lean, part
 from raygrid.node.hierarchy import DEPTH, LEAF_BIT, WORDS
 from raygrid.node.lanes import push_boxes
 from raygrid.node.lattice import T_MIN, Space, cell_index, coordinate, nearest
@@ -295,5 +294,4 @@ def from_cache_only() -> Iterator[None]:
 
 def is_cached() -> bool:
     """Whether kernels of a pilot were ever compiled in this state of the sources (a look at names of files only)."""
-    kernel: Any = _tally
-    return any(Path(kernel.stats.cache_path).glob(f"*.{kernel.py_func.__name__}-*.nbi"))
+    return is_on_disk(_tally)

@@ -36,7 +36,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import kernel, part
+from .compiled import kernel, lean, part
 from .errors import PacketError
 from .native import copy_bytes
 
@@ -355,24 +355,25 @@ def first_fault(buffer, start, count, limits):
 
 # --- many pixel packets at once, for the host ---------------------------------------------------------
 
-_PIXEL_RECORD = np.dtype(
-    [("head", "u1"), ("pixel", "<u4"), ("sums", [("low", "<u4"), ("high", "<u2")], 3), ("samples", "<u2")]
-)
-assert _PIXEL_RECORD.itemsize == SIZE
 
+@lean
+def add_pixels(buffer, start, count, sums, samples, most):
+    """Add `count` packets from byte `start` to sums int64 (pixels, 3) and samples (pixels,), whole numbers up to `most`.
 
-def read_pixels(
-    message: bytes, start: int, pixels: int
-) -> tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.int64]]:
-    """(pixel numbers (n,), sums (n, 3), samples (n,)) of all pixel packets from byte `start` on.
-
-    Raises PacketError if one is of another kind or names a pixel at or above `pixels`.
+    False if one is no pixel packet or names a pixel that is not there, and then nothing is added. Samples beyond `most`
+    count as `most`.
     """
-    records = np.frombuffer(message, _PIXEL_RECORD, offset=start)
-    if np.any(records["head"] != PIXEL) or np.any(records["pixel"] >= pixels):
-        raise PacketError(f"{len(records)} pixel packets came with another kind, or a pixel beyond {pixels}")
-    sums = records["sums"]["low"].astype(np.int64) | (records["sums"]["high"].astype(np.int64) << 32)
-    return records["pixel"].astype(np.intp), sums, records["samples"].astype(np.int64)
+    for k in range(count):
+        head = read_u64(buffer, start + k * SIZE)
+        if (head & 0xFF) != PIXEL or ((head >> 8) & 0xFFFFFFFF) >= len(samples):
+            return False
+    for k in range(count):
+        at = start + k * SIZE
+        pixel = read_u32(buffer, at + 1)
+        for c in range(3):
+            sums[pixel, c] += read_u48(buffer, at + 5 + 6 * c)
+        samples[pixel] = min(np.int64(samples[pixel]) + read_u16(buffer, at + 23), most)
+    return True
 
 
 # --- one packet at a time: tests, messages, traces -----------------------------------------------------
