@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 from .compiled import kernel, lean, part
 from .errors import PacketError
-from .native import copy_bytes
+from .native import copy_bytes, get_word, put_words
 
 SIZE = 25
 
@@ -244,11 +244,21 @@ def put_return(buffer, at, depth, sample, intensity, home):
 @part
 def put_pixel(buffer, at, pixel, sums, samples):
     """Write a pixel packet. `sums`: three integers below 2^48, `samples` below 2^16."""
-    buffer[at] = np.uint8(PIXEL)
-    write(buffer, at + 1, pixel, 4)
-    for k in range(3):
-        write(buffer, at + 5 + 6 * k, sums[k], 6)
-    write(buffer, at + 23, samples, 2)
+    number, count = np.int64(pixel), np.int64(samples)
+    r, g, b = np.int64(sums[0]), np.int64(sums[1]), np.int64(sums[2])
+    first = PIXEL | (number << 8) | (r << 40)
+    put_words(buffer, at, first, (r >> 24) | (g << 24), (g >> 40) | (b << 8) | (count << 56))
+    buffer[at + 24] = np.uint8(count >> 8)
+
+
+@part
+def get_pixel(buffer, at):
+    """(pixel, red, green, blue, samples) of a pixel packet."""
+    first, second, third = get_word(buffer, at), get_word(buffer, at + 8), get_word(buffer, at + 16)
+    r = ((first >> 40) & 0xFFFFFF) | ((second & 0xFFFFFF) << 24)
+    g = ((second >> 24) & 0xFFFFFFFFFF) | ((third & 0xFF) << 40)
+    samples = ((third >> 56) & 0xFF) | (np.int64(buffer[at + 24]) << 8)
+    return (first >> 8) & 0xFFFFFFFF, r, g, (third >> 8) & 0xFFFFFFFFFFFF, samples
 
 
 @part
@@ -364,15 +374,15 @@ def add_pixels(buffer, start, count, sums, samples, most):
     count as `most`.
     """
     for k in range(count):
-        head = read_u64(buffer, start + k * SIZE)
+        head = get_word(buffer, start + k * SIZE)
         if (head & 0xFF) != PIXEL or ((head >> 8) & 0xFFFFFFFF) >= len(samples):
             return False
     for k in range(count):
-        at = start + k * SIZE
-        pixel = read_u32(buffer, at + 1)
-        for c in range(3):
-            sums[pixel, c] += read_u48(buffer, at + 5 + 6 * c)
-        samples[pixel] = min(np.int64(samples[pixel]) + read_u16(buffer, at + 23), most)
+        pixel, r, g, b, many = get_pixel(buffer, start + k * SIZE)
+        sums[pixel, 0] += r
+        sums[pixel, 1] += g
+        sums[pixel, 2] += b
+        samples[pixel] = min(np.int64(samples[pixel]) + many, most)
     return True
 
 

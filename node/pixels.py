@@ -219,6 +219,7 @@ def send_pixels(pixels, width, cursor, buffer, at, room, counts):
             column += 1
             continue
         if made == room:
+            counts[BORN + PIXEL] += made
             return made, (row << 32) | column
         samples = min(pixels.samples[here], MAX_PIXEL_SAMPLES)
         r, g, b = (
@@ -233,5 +234,5 @@ def send_pixels(pixels, width, cursor, buffer, at, room, counts):
         pixels.sums[here, 1] -= g
         pixels.sums[here, 2] -= b
         made += 1
-        counts[BORN + PIXEL] += 1
+    counts[BORN + PIXEL] += made
     return made, np.int64(-1)
