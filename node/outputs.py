@@ -43,10 +43,8 @@ class Outputs(NamedTuple):
 
 def make_outputs(room: int, stack: int) -> Outputs:
     """Empty outputs with room for this many packets each."""
-    data = np.empty((OUTPUTS, HEAD + room * SIZE), np.uint8)  # not zeros, which would write all of it
-    data[:, :HEAD] = 0
     return Outputs(
-        data,
+        np.empty((OUTPUTS, HEAD + room * SIZE), np.uint8),  # zeros may write all of it
         np.zeros(OUTPUTS, np.int64),
         np.zeros(stack, np.int64),
         make_ahead(),
