@@ -414,6 +414,9 @@ def import_links() -> None:
     from raygrid.node import flood, pair  # noqa: F401
 
     from . import crew, driver, topology, wiring  # noqa: F401
+    from .collected import load
+
+    load()
 
 
 def _name(index: Index) -> str:

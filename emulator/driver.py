@@ -23,8 +23,7 @@ from raygrid.node.link import Link, State
 from raygrid.node.messages import MessageKind, check_packets, pack_surfaces, read_order
 from raygrid.node.motions import Moves, groups_order, placed
 from raygrid.node.orders import frame_order, space_order
-from raygrid.node.outputs import HEAD
-from raygrid.node.packets import KINDS, PIXEL, PRIMARY, read_pixels
+from raygrid.node.packets import KINDS, PIXEL, PRIMARY
 from raygrid.node.processor import read_sums
 from raygrid.node.programs import Program, program_order
 from raygrid.node.surfaces import Batch, SurfaceSet
@@ -43,6 +42,7 @@ from raygrid.node.tally import (
     read_tallied,
 )
 
+from .collected import Collected, Samples
 from .increments import Held, check_moves, increment
 
 CHUNK_BYTES = 1 << 16  # surfaces in a message
@@ -96,9 +96,7 @@ class Driver:
         self._processors = len(os.sched_getaffinity(0))
         self._wave_number = 0
         self._answer: dict[str, Any] | None = None
-        self._sums: NDArray[np.int64] | None = None
-        self._samples: NDArray[np.int64] | None = None
-        self._pixels_received = 0
+        self._collected: Collected | None = None  # what comes of the pass that is being collected
         self.held: Held | None = (
             None  # the frame of a shot that the nodes hold; None: it is not known, or does not move
         )
@@ -127,16 +125,9 @@ class Driver:
     def _take_pixels(self, message: bytes, count: int) -> None:
         if self._settling:
             return
-        if self._sums is None or self._samples is None:
+        if self._collected is None:
             raise ProtocolError(f"{count} pixel packets came, but no frame is being collected")
-        pixels, sums, samples = read_pixels(message, HEAD, len(self._samples))
-        if np.all(np.diff(pixels) > 0):  # one home sends in ascending order: no pixel comes twice
-            self._sums[pixels] += sums
-            self._samples[pixels] += samples
-        else:
-            np.add.at(self._sums, pixels, sums)
-            np.add.at(self._samples, pixels, samples)
-        self._pixels_received += count
+        self._collected.take(message, count)
 
     def wave(self, order: dict[str, Any]) -> dict[str, Any]:
         """Send an order over the array and wait for the answer of all. Raises Stuck, ProtocolError, LostProcess."""
@@ -350,11 +341,13 @@ class Driver:
             f"{now.homes_left} homes with samples left; " + ("; ".join(waiting[:8]) or "no node holds a packet")
         )
 
-    def collect(self, pixels: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """(sums (pixels, 3) in fixed point, samples (pixels,)) of the pass, from the homes by way of the corners."""
+    def collect(self, pixels: int, into: Collected | None = None) -> tuple[NDArray[np.int64], Samples]:
+        """(sums (pixels, 3) in fixed point, samples (pixels,)) of the pass, from the homes by way of the corners.
+
+        into  where they are added, of as many pixels; None: a new one, for as many samples as a uint16 counts
+        """
         self._quiet = False
-        self._sums, self._samples = np.zeros((pixels, 3), np.int64), np.zeros(pixels, np.int64)
-        self._pixels_received = 0
+        self._collected = collected = into or Collected(pixels)
         order: dict[str, Any] = {"do": "collect"}
         since = time.monotonic()
         while True:
@@ -365,13 +358,12 @@ class Driver:
             if time.monotonic() - since > self.patience + pixels / 1e4:
                 raise Stuck(f"{born} pixel packets were born and {died} reached a corner")
             order = {"do": "trace", "quota": 0, "flush": EAGER_FLUSH}
-        self._wait(lambda: self._pixels_received >= born, "all pixel packets are here")
-        if self._pixels_received != born:
-            raise Garbled(f"{self._pixels_received} pixel packets came, {born} were born")
-        result = self._sums, self._samples
-        self._sums = self._samples = None
+        self._wait(lambda: collected.received >= born, "all pixel packets are here")
+        if collected.received != born:
+            raise Garbled(f"{collected.received} pixel packets came, {born} were born")
+        self._collected = None
         self._quiet = True
-        return result
+        return collected.sums, collected.samples
 
     # --- other ---------------------------------------------------------------------------------------
 

@@ -17,12 +17,14 @@ from raygrid.node.lattice import World, make_space
 from raygrid.node.misses import add_missed
 from raygrid.node.motions import SHIFT, Moves, at_rest, make_groups
 from raygrid.node.native import find_functions
-from raygrid.node.packets import LATTICE
+from raygrid.node.outputs import HEAD
+from raygrid.node.packets import LATTICE, MAX_PIXEL_SAMPLES
 from raygrid.node.stamped import prices_order
 from raygrid.node.surfaces import STORED_AS, Batch, Kind, SurfaceSet
 from raygrid.node.tables import COUNTS, LIGHT_COLUMNS, MATERIAL_COLUMNS, Frame
 from raygrid.node.timed import Prices
 
+from .collected import Collected
 from .memory_array import MemoryArray
 from .split import split
 from .work import is_cached
@@ -79,6 +81,7 @@ def warm(report: Report) -> None:
                 _one_of_each(),
                 frame._replace(samples=1 << 18),
             )
+            Collected(0, MAX_PIXEL_SAMPLES).take(bytes(HEAD), 0)
             profile.warm(array.processors[0].tracer)
     report(KERNELS, KERNELS, "ready")
 

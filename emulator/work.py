@@ -22,14 +22,13 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba.core import event
 from numpy.typing import NDArray
 
-from raygrid.node.compiled import lean, part
+from raygrid.node.compiled import is_on_disk, lean, part
 from raygrid.node.hierarchy import DEPTH, LEAF_BIT, WORDS
 from raygrid.node.lanes import push_boxes
 from raygrid.node.lattice import T_MIN, Space, cell_index, coordinate, nearest
@@ -80,19 +79,21 @@ def tally(pilot: Pilot, grid: Space, weights: Weights | None = None) -> Work:
     """Running sums of the pilot's work over a grid of planes."""
     weights = weights or Weights()
     nx, ny, nz = grid.shape
-    done, crossed = np.zeros((nx + 1, ny + 1, nz + 1)), np.zeros((3, 2, nx + 1, ny + 1, nz + 1))
+    work = Work(np.zeros((nx + 1, ny + 1, nz + 1)), np.zeros((3, 2, nx + 1, ny + 1, nz + 1)))
+    places = _places(pilot, grid) if weights.held > 0.0 else np.zeros((3, 0), np.int64)
+    held = float(weights.held * pilot.each / pilot.share)
     costs = Weights(*map(float, weights))
-    _tally(pilot.rays, pilot.surfaces, np.zeros(DEPTH, np.int64), grid, costs, Work(done, crossed))
-    if weights.held > 0.0:
-        middles = pilot.boxes.mean(axis=1) / np.array(pilot.step) + LATTICE // 2
-        voxels = [np.searchsorted(grid.planes[a, 1 : grid.shape[a]], middles[:, a], "right") + 1 for a in range(3)]
-        np.add.at(done, tuple(voxels), weights.held * pilot.each / pilot.share)
+    _tally(pilot.rays, pilot.surfaces, np.zeros(DEPTH, np.int64), grid, costs, work, places, held)
+    return work
+
+
+def _places(pilot: Pilot, grid: Space) -> NDArray[np.int64]:
+    """The voxels that hold the middles of surfaces, counted from 1, int64 (3, n)."""
+    places = np.empty((3, len(pilot.boxes)), np.int64)
     for axis in range(3):
-        np.cumsum(done, axis=axis, out=done)
-        for other in range(3):
-            if other != axis:
-                np.cumsum(crossed[axis], axis=other + 1, out=crossed[axis])
-    return Work(done, crossed)
+        middles = (pilot.boxes[:, 0, axis] + pilot.boxes[:, 1, axis]) / 2.0 / pilot.step[axis] + LATTICE // 2
+        places[axis] = np.searchsorted(grid.planes[axis, 1 : grid.shape[axis]], middles, "right") + 1
+    return places
 
 
 @part
@@ -103,8 +104,11 @@ def _next_plane(grid, axis, voxel, o, inv):
 
 
 @lean
-def _tally(rays, surfaces, stack, grid, weights, work):
-    """Walk every ray through the grid. Voxel (i, j, k) is counted at (i + 1, j + 1, k + 1), for running sums."""
+def _tally(rays, surfaces, stack, grid, weights, work, places, held):
+    """Walk every ray through the grid, add what each surface costs that is held at a place, and sum up.
+
+    Voxel (i, j, k) is counted at (i + 1, j + 1, k + 1), for running sums.
+    """
     for r in range(len(rays.facts)):
         facts = rays.facts[r]
         o = place((rays.origins[r, 0], rays.origins[r, 1], rays.origins[r, 2]), grid.step)
@@ -140,6 +144,34 @@ def _tally(rays, surfaces, stack, grid, weights, work):
             _go_home(rays, r, grid, x, y, z, weights, work)
         if weights.box > 0.0 and len(surfaces.floats) > 0:
             _open_boxes(surfaces, stack, grid, o, d, inv, end, weights, work)
+    for k in range(places.shape[1]):
+        work.done[places[0, k], places[1, k], places[2, k]] += held
+    _sum_up(work.done, True, True, True)
+    for way in range(2):
+        _sum_up(work.crossed[0, way], False, True, True)
+        _sum_up(work.crossed[1, way], True, False, True)
+        _sum_up(work.crossed[2, way], True, True, False)
+
+
+@part
+def _sum_up(values, along_x, along_y, along_z):
+    """Running sums along some axes, one after the other."""
+    nx, ny, nz = values.shape
+    if along_x:
+        for i in range(1, nx):
+            for j in range(ny):
+                for k in range(nz):
+                    values[i, j, k] += values[i - 1, j, k]
+    if along_y:
+        for i in range(nx):
+            for j in range(1, ny):
+                for k in range(nz):
+                    values[i, j, k] += values[i, j - 1, k]
+    if along_z:
+        for i in range(nx):
+            for j in range(ny):
+                for k in range(1, nz):
+                    values[i, j, k] += values[i, j, k - 1]
 
 
 @part
@@ -295,5 +327,4 @@ def from_cache_only() -> Iterator[None]:
 
 def is_cached() -> bool:
     """Whether kernels of a pilot were ever compiled in this state of the sources (a look at names of files only)."""
-    kernel: Any = _tally
-    return any(Path(kernel.stats.cache_path).glob(f"*.{kernel.py_func.__name__}-*.nbi"))
+    return is_on_disk(_tally)

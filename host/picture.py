@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.host.outputs import FORMATS, SUMS, check_picture_path, check_side, write_whole
+from raygrid.host.transfer import TRANSFERS, to_bytes
 from raygrid.node.errors import OutputError
 from raygrid.node.pixels import UNIT
 
-TRANSFERS = ("srgb", "linear")
 MOST_AHEAD = 1 << 22  # pixels of a picture that is encoded in memory
-BLOCK = 1 << 20  # pixels that are turned into bytes at a time
 
 
 @dataclass(frozen=True)
@@ -46,17 +45,7 @@ class Picture:
         """
         if transfer not in TRANSFERS:
             raise OutputError(f"a transfer came as {transfer!r}, wanted one of: {' '.join(TRANSFERS)}")
-        picture = np.empty(self.sums.shape, np.uint8)
-        rows = max(1, BLOCK // max(self.sums.shape[1], 1))
-        for first in range(
-            0, len(picture), rows
-        ):  # a whole large picture as float64 would need several times its memory
-            block = slice(first, first + rows)
-            values = np.minimum(self.sums[block] / (UNIT * self.samples), 1.0)
-            if transfer == "srgb":
-                values = np.where(values <= 0.0031308, 12.92 * values, 1.055 * values ** (1 / 2.4) - 0.055)
-            picture[block] = np.floor(values * 255.0 + 0.5)
-        return picture
+        return to_bytes(self.sums, self.samples, transfer)
 
     def save(self, path: str | Path, transfer: str = "srgb", texts: Mapping[str, str] | None = None) -> None:
         """Write a .npy of the sums, or a picture (.png .jpg .webp .tif .bmp .ppm). It appears whole or not at all.

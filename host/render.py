@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raygrid.emulator.collected import Collected, Samples
 from raygrid.emulator.driver import BUDGET, Driver, Progress
 from raygrid.emulator.increments import is_held
 from raygrid.emulator.limits import read_memory
@@ -51,14 +52,18 @@ def render_job(
         seconds[phase] = time.perf_counter() - begun
         return result
 
+    collected = Collected(job.pixels, job.frame.samples)
+
     def tell(now: Progress) -> None:
+        if now.primaries > 0:  # the nodes are at work until the next wave
+            collected.touch()
         if watch is not None:
             watch("trace", now)
 
     if not loaded:
         timed("load", lambda: _bring(driver, job))
     progress = timed("trace", lambda: driver.trace(job.frame, budget, tell, prices))
-    sums, samples = timed("collect", lambda: driver.collect(job.pixels))
+    sums, samples = timed("collect", lambda: driver.collect(job.pixels, collected))
     add_misses(job, sums, samples)
     frame = job.frame
     stats = make_stats(job, driver, progress, seconds)
@@ -94,33 +99,48 @@ def _check_memory(job: Job) -> None:
 
 CHECKED = 65_536  # pixels without samples that are looked at again
 SURELY_INSIDE = 64 * LONGEST_STEP  # so far inside the world box no rounding turns a hit into a miss
+BLOCK = 1 << 16  # pixels that are worked on at a time: what is made for them stays in the cache
 
 
-def _check_missing(job: Job, missing: NDArray[np.int64]) -> None:
+def _blocks(pixels: int) -> Iterator[slice]:
+    return (slice(first, first + BLOCK) for first in range(0, pixels, BLOCK))
+
+
+def _some_lacking(samples: Samples, most: int) -> NDArray[np.int64]:
+    """Up to CHECKED of the pixels that have not all of their samples, spread evenly over these."""
+    counts = [int(np.count_nonzero(samples[block] != most)) for block in _blocks(len(samples))]
+    stride = sum(counts) // CHECKED + 1
+    chosen, before = [np.zeros(0, np.int64)], 0
+    for block, count in zip(_blocks(len(samples)), counts, strict=True):
+        if count:
+            chosen.append(np.flatnonzero(samples[block] != most)[-before % stride :: stride] + block.start)
+        before += count
+    return np.concatenate(chosen)
+
+
+def _check_missing(job: Job, samples: Samples) -> None:
     """A pixel may lack samples only if rays through it miss the world box. Raises ArrayError.
 
     Conservation cannot see a sample that no home has borne, so some of these pixels are worked out again. The
     outline of a box is convex: if the rays through a pixel's corners enter, so do all through the pixel.
     """
-    lacking = np.flatnonzero(missing)
-    lacking = lacking[:: len(lacking) // CHECKED + 1]
+    lacking = _some_lacking(samples, job.frame.samples)
     i, j = (lacking % job.frame.width).astype(np.float64), (lacking // job.frame.width).astype(np.float64)
-    reach = 0.5 if job.frame.samples > 1 else 0.0
     enters = np.ones(len(lacking), np.bool_)
-    for di, dj in ((-reach, -reach), (reach, -reach), (-reach, reach), (reach, reach)):
+    corners = ((-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)) if job.frame.samples > 1 else ((0.0, 0.0),)
+    for di, dj in corners:
         enters &= rays_enter(job, i + di, j + dj, SURELY_INSIDE)
     if enters.any():
         pixel = int(lacking[np.argmax(enters)])
         raise Garbled(f"pixel {pixel} came without all its samples, though its rays enter the world box")
 
 
-def add_misses(job: Job, sums: NDArray[np.int64], samples: NDArray[np.int64]) -> None:
+def add_misses(job: Job, sums: NDArray[np.int64], samples: Samples) -> None:
     """Add what the samples see whose rays never enter the world box; no home counts them."""
     frame = job.frame
-    missing = frame.samples - samples
-    if np.any(missing < 0):
-        raise Garbled(f"pixel {int(np.argmin(missing))} came with more samples than the {frame.samples} it has")
-    _check_missing(job, missing)
+    if int(samples.max()) > frame.samples:
+        raise Garbled(f"pixel {int(np.argmax(samples))} came with more samples than the {frame.samples} it has")
+    _check_missing(job, samples)
     program = job.settings.program
     if program is not None and "background" in program.hooks:
         from raygrid.host.program_file import for_host
@@ -134,5 +154,10 @@ def add_misses(job: Job, sums: NDArray[np.int64], samples: NDArray[np.int64]) ->
         return
     background = np.minimum(np.array(frame.background, np.float32).astype(np.float64), MAX_INTENSITY)
     units = np.floor(background * UNIT + 0.5).astype(np.int64)
-    if units.any() and missing.any():
-        sums += missing[:, None] * units
+    if not units.any():
+        return
+    for block in _blocks(len(samples)):
+        missing = frame.samples - samples[block].astype(np.int64)
+        if missing.any():
+            for colour in range(3):  # a column at a time: rows of three are slow
+                sums[block, colour] += missing * units[colour]

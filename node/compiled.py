@@ -19,6 +19,7 @@ so nothing needs to be counted, as long as a `lean` or a `part`
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, cast
 
 from numba import njit
@@ -40,6 +41,14 @@ def _compiled(function: Function, **options: Any) -> Function:
         with kernel_cache.in_directory(kernel_cache.DIRECTORY):
             dispatcher.enable_caching()
     return cast(Function, dispatcher)
+
+
+def is_on_disk(function: Function) -> bool:
+    """Whether a kernel was ever compiled in this state of the sources (a look at names of files only)."""
+    dispatcher: Any = function
+    if not hasattr(dispatcher, "stats"):  # without a compiler
+        return False
+    return any(Path(dispatcher.stats.cache_path).glob(f"*.{dispatcher.py_func.__name__}-*.nbi"))
 
 
 def kernel(function: Function) -> Function:

@@ -200,6 +200,20 @@ def _put_words(typingctx: Any, target: Any, at: Any, first: Any, second: Any, th
     return types.void(target, types.int64, types.int64, types.int64, types.int64), codegen
 
 
+def _get_word(typingctx: Any, source: Any, at: Any) -> Any:
+    """The int64 of eight bytes of a flat uint8 array from `at` on, the least first. Nothing is checked.
+
+    Eight loads of a byte do not become one, since numba looks at each place whether it counts from the end.
+    """
+
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+        place = builder.bitcast(builder.gep(data, [arguments[1]]), _LONG.as_pointer())
+        return _least_first(builder, builder.load(place, align=1))
+
+    return types.int64(source, types.int64), codegen
+
+
 def _least_first(builder: Any, value: Any) -> Any:
     """A 64-bit number in the order of bytes of this computer that puts the least first."""
     return value if sys.byteorder == "little" else builder.bswap(value)
@@ -212,3 +226,4 @@ bytes_at: Any = intrinsic(_bytes_at)
 address: Any = intrinsic(_address)
 copy_bytes: Any = intrinsic(_copy_bytes)
 put_words: Any = intrinsic(_put_words)
+get_word: Any = intrinsic(_get_word)

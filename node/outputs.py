@@ -44,7 +44,7 @@ class Outputs(NamedTuple):
 def make_outputs(room: int, stack: int) -> Outputs:
     """Empty outputs with room for this many packets each."""
     return Outputs(
-        np.zeros((OUTPUTS, HEAD + room * SIZE), np.uint8),
+        np.empty((OUTPUTS, HEAD + room * SIZE), np.uint8),  # zeros may write all of it
         np.zeros(OUTPUTS, np.int64),
         np.zeros(stack, np.int64),
         make_ahead(),

@@ -36,9 +36,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import kernel, part
+from .compiled import kernel, lean, part
 from .errors import PacketError
-from .native import copy_bytes
+from .native import copy_bytes, get_word, put_words
 
 SIZE = 25
 
@@ -244,11 +244,21 @@ def put_return(buffer, at, depth, sample, intensity, home):
 @part
 def put_pixel(buffer, at, pixel, sums, samples):
     """Write a pixel packet. `sums`: three integers below 2^48, `samples` below 2^16."""
-    buffer[at] = np.uint8(PIXEL)
-    write(buffer, at + 1, pixel, 4)
-    for k in range(3):
-        write(buffer, at + 5 + 6 * k, sums[k], 6)
-    write(buffer, at + 23, samples, 2)
+    number, count = np.int64(pixel), np.int64(samples)
+    r, g, b = np.int64(sums[0]), np.int64(sums[1]), np.int64(sums[2])
+    first = PIXEL | (number << 8) | (r << 40)
+    put_words(buffer, at, first, (r >> 24) | (g << 24), (g >> 40) | (b << 8) | (count << 56))
+    buffer[at + 24] = np.uint8(count >> 8)
+
+
+@part
+def get_pixel(buffer, at):
+    """(pixel, red, green, blue, samples) of a pixel packet."""
+    first, second, third = get_word(buffer, at), get_word(buffer, at + 8), get_word(buffer, at + 16)
+    r = ((first >> 40) & 0xFFFFFF) | ((second & 0xFFFFFF) << 24)
+    g = ((second >> 24) & 0xFFFFFFFFFF) | ((third & 0xFF) << 40)
+    samples = ((third >> 56) & 0xFF) | (np.int64(buffer[at + 24]) << 8)
+    return (first >> 8) & 0xFFFFFFFF, r, g, (third >> 8) & 0xFFFFFFFFFFFF, samples
 
 
 @part
@@ -355,24 +365,25 @@ def first_fault(buffer, start, count, limits):
 
 # --- many pixel packets at once, for the host ---------------------------------------------------------
 
-_PIXEL_RECORD = np.dtype(
-    [("head", "u1"), ("pixel", "<u4"), ("sums", [("low", "<u4"), ("high", "<u2")], 3), ("samples", "<u2")]
-)
-assert _PIXEL_RECORD.itemsize == SIZE
 
+@lean
+def add_pixels(buffer, start, count, sums, samples, most):
+    """Add `count` packets from byte `start` to sums int64 (pixels, 3) and samples (pixels,), whole numbers up to `most`.
 
-def read_pixels(
-    message: bytes, start: int, pixels: int
-) -> tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.int64]]:
-    """(pixel numbers (n,), sums (n, 3), samples (n,)) of all pixel packets from byte `start` on.
-
-    Raises PacketError if one is of another kind or names a pixel at or above `pixels`.
+    False if one is no pixel packet or names a pixel that is not there, and then nothing is added. Samples beyond `most`
+    count as `most`.
     """
-    records = np.frombuffer(message, _PIXEL_RECORD, offset=start)
-    if np.any(records["head"] != PIXEL) or np.any(records["pixel"] >= pixels):
-        raise PacketError(f"{len(records)} pixel packets came with another kind, or a pixel beyond {pixels}")
-    sums = records["sums"]["low"].astype(np.int64) | (records["sums"]["high"].astype(np.int64) << 32)
-    return records["pixel"].astype(np.intp), sums, records["samples"].astype(np.int64)
+    for k in range(count):
+        head = get_word(buffer, start + k * SIZE)
+        if (head & 0xFF) != PIXEL or ((head >> 8) & 0xFFFFFFFF) >= len(samples):
+            return False
+    for k in range(count):
+        pixel, r, g, b, many = get_pixel(buffer, start + k * SIZE)
+        sums[pixel, 0] += r
+        sums[pixel, 1] += g
+        sums[pixel, 2] += b
+        samples[pixel] = min(np.int64(samples[pixel]) + many, most)
+    return True
 
 
 # --- one packet at a time: tests, messages, traces -----------------------------------------------------

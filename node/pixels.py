@@ -66,8 +66,11 @@ def fixed_point(intensity):
     return np.int64(min(np.float64(intensity), MAX_INTENSITY) * UNIT + 0.5)
 
 
-def make_pixels(frame: Frame, space: Space, cell: Cell) -> Pixels:
-    """An empty store with room for every sample whose home is this cell."""
+def make_pixels(frame: Frame, space: Space, cell: Cell, before: Pixels | None = None) -> Pixels:
+    """An empty store with room for every sample whose home is this cell.
+
+    before  a store that nobody needs any more: its memory is used if it has the right size, since fresh memory is dear
+    """
     first = np.full(frame.height, frame.width, np.int64)
     last = np.full(frame.height, -1, np.int64)
     _outline(frame, space, cell, first, last)
@@ -79,7 +82,12 @@ def make_pixels(frame: Frame, space: Space, cell: Cell) -> Pixels:
     widths = np.maximum(last[begin:end] - first[begin:end] + 1, 0)
     offsets = np.concatenate(([0], np.cumsum(widths))).astype(np.int64)
     total = int(offsets[-1])
-    return Pixels(begin, first[begin:end].copy(), offsets, np.zeros((total, 3), np.int64), np.zeros(total, np.int64))
+    if before is not None and len(before.samples) == total:
+        sums, samples = before.sums, before.samples
+        sums[:], samples[:] = 0, 0
+    else:
+        sums, samples = np.zeros((total, 3), np.int64), np.zeros(total, np.int64)
+    return Pixels(begin, first[begin:end].copy(), offsets, sums, samples)
 
 
 def _outline(frame: Frame, space: Space, cell: Cell, first: Line, last: Line) -> None:
@@ -211,6 +219,7 @@ def send_pixels(pixels, width, cursor, buffer, at, room, counts):
             column += 1
             continue
         if made == room:
+            counts[BORN + PIXEL] += made
             return made, (row << 32) | column
         samples = min(pixels.samples[here], MAX_PIXEL_SAMPLES)
         r, g, b = (
@@ -225,5 +234,5 @@ def send_pixels(pixels, width, cursor, buffer, at, room, counts):
         pixels.sums[here, 1] -= g
         pixels.sums[here, 2] -= b
         made += 1
-        counts[BORN + PIXEL] += 1
+    counts[BORN + PIXEL] += made
     return made, np.int64(-1)

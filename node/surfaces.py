@@ -121,31 +121,50 @@ class Batch:
 
     def bounds(self) -> F64:
         """Axis-aligned boxes, float64 (n, 2, 3). A cone's is that of its two rims (exact)."""
-        data = self.data.astype(np.float64, copy=False)
         if self.kind in (Kind.TRIANGLE, Kind.SMOOTH):
-            points = data[:, :9].reshape(-1, 3, 3)
-            return np.stack((points.min(1), points.max(1)), axis=1)
+            return _triangle_bounds(self.data)
+        data = self.data.astype(np.float64, copy=False)
         if self.kind == Kind.POLYGON:
             if len(self) == 0:
                 return np.zeros((0, 2, 3))
             low = np.minimum.reduceat(data, self.starts[:-1], axis=0)
             return np.stack((low, np.maximum.reduceat(data, self.starts[:-1], axis=0)), axis=1)
         if self.kind == Kind.SPHERE:
-            radius = np.abs(data[:, 3:4])
-            return np.stack((data[:, :3] - radius, data[:, :3] + radius), axis=1)
+            return _sphere_bounds(data)
         if self.kind == AddedKind.PROGRAMMED:
             return _own_bounds(data)
         return _cone_bounds(data)
 
 
+def _triangle_bounds(data: NDArray[np.floating]) -> F64:
+    """Column by column: numpy is slow along axes of length 3."""
+    boxes = np.empty((len(data), 2, 3))
+    for axis in range(3):
+        a, b, c = data[:, axis], data[:, 3 + axis], data[:, 6 + axis]
+        boxes[:, 0, axis] = np.minimum(np.minimum(a, b), c)
+        boxes[:, 1, axis] = np.maximum(np.maximum(a, b), c)
+    return boxes
+
+
+def _sphere_bounds(data: F64) -> F64:
+    boxes, radius = np.empty((len(data), 2, 3)), np.abs(data[:, 3])
+    for axis in range(3):
+        boxes[:, 0, axis], boxes[:, 1, axis] = data[:, axis] - radius, data[:, axis] + radius
+    return boxes
+
+
 def _cone_bounds(data: F64) -> F64:
     """The box of a disc with unit normal n and radius r reaches r * sqrt(1 - n_a^2) from its centre along axis a."""
-    base, base_r, apex, apex_r = data[:, 0:3], np.abs(data[:, 3:4]), data[:, 4:7], np.abs(data[:, 7:8])
-    axis = apex - base
-    squared = np.sum(axis * axis, axis=1, keepdims=True)
-    reach = np.sqrt(np.clip(1.0 - axis * axis / np.where(squared > 0.0, squared, 1.0), 0.0, 1.0))
-    low = np.minimum(base - base_r * reach, apex - apex_r * reach)
-    return np.stack((low, np.maximum(base + base_r * reach, apex + apex_r * reach)), axis=1)
+    boxes, base_r, apex_r = np.empty((len(data), 2, 3)), np.abs(data[:, 3]), np.abs(data[:, 7])
+    squares = [(data[:, 4 + axis] - data[:, axis]) ** 2 for axis in range(3)]
+    squared = squares[0] + squares[1] + squares[2]
+    squared[~(squared > 0.0)] = 1.0
+    for axis in range(3):
+        base, apex = data[:, axis], data[:, 4 + axis]
+        reach = np.sqrt(np.clip(1.0 - squares[axis] / squared, 0.0, 1.0))
+        boxes[:, 0, axis] = np.minimum(base - base_r * reach, apex - apex_r * reach)
+        boxes[:, 1, axis] = np.maximum(base + base_r * reach, apex + apex_r * reach)
+    return boxes
 
 
 def _own_bounds(data: F64) -> F64:
@@ -172,8 +191,9 @@ class SurfaceSet:
         boxes = [batch.bounds() for batch in self.batches if len(batch)]
         if not boxes:
             raise ValueError("there are no surfaces")
-        every = np.concatenate(boxes)
-        return np.stack((every[:, 0].min(0), every[:, 1].max(0)))
+        lows = np.array([[box[:, 0, axis].min() for axis in range(3)] for box in boxes])
+        highs = np.array([[box[:, 1, axis].max() for axis in range(3)] for box in boxes])
+        return np.stack((lows.min(0), highs.max(0)))
 
     def count(self, kind: AnyKind) -> int:
         """How many surfaces of this kind there are."""

@@ -70,6 +70,7 @@ class Tracer:
         self.quota = 0
         self.collecting = -1  # place in the pixel store, -1: nothing to send
         self.pixels: Pixels | None = None
+        self._spare_pixels: Pixels | None = None  # of the frame before, for its memory
 
     # --- set-up ------------------------------------------------------------------------------------
 
@@ -79,7 +80,7 @@ class Tracer:
         self.retained, self.surfaces = [], empty_surfaces()
         self.increments.forget()
         self._stale = True
-        self.frame = self.limits = self.pixels = None
+        self._drop_frame()
 
     def retain(self, batch: Batch, boxes: np.ndarray, rest: Batch | None = None) -> int:
         """Keep the descriptions that touch this cell; returns how many. `rest`: the same at rest, if they move."""
@@ -136,10 +137,14 @@ class Tracer:
 
     def forget_frame(self) -> None:
         """Drop the frame with all its packets; the surfaces stay."""
-        self.frame = self.limits = self.pixels = None
+        self._drop_frame()
         self.quota, self.collecting, self.samples_left = 0, -1, False
         clear(self.outputs)
         self.backlog.clear()
+
+    def _drop_frame(self) -> None:
+        self._spare_pixels = self.pixels or self._spare_pixels
+        self.frame = self.limits = self.pixels = None
 
     def set_frame(self, frame: Frame) -> None:
         """Begin a frame: an empty pixel store, no packets, all counts zero.
@@ -153,7 +158,7 @@ class Tracer:
         self.forget_frame()
         self.frame, self.limits = frame, frame_limits(frame, self.shape)
         self.backlog.set_limits(self.limits)
-        self.pixels = make_pixels(frame, self.space, self.cell)
+        self.pixels, self._spare_pixels = make_pixels(frame, self.space, self.cell, self._spare_pixels), None
         self.cursor = new_cursor(len(self.pixels.first) > 0)
         self.samples_left = len(self.pixels.first) > 0
         self.counts[:] = 0
@@ -229,7 +234,8 @@ class Tracer:
         """Bytes by use: what the memory bound is about."""
         surfaces = sum({table.ctypes.data: table.nbytes for table in self.surfaces}.values())  # one is seen twice
         described = sum(batch.data.nbytes + batch.ids.nbytes + batch.materials.nbytes for batch in self.retained)
-        pixels = 0 if self.pixels is None else self.pixels.sums.nbytes + self.pixels.samples.nbytes
+        store = self.pixels or self._spare_pixels
+        pixels = 0 if store is None else store.sums.nbytes + store.samples.nbytes
         return {
             "surfaces": surfaces + described,
             "pixels": pixels,

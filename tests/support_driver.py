@@ -69,6 +69,7 @@ class Grid:
         self.limits = frame_limits(frame, space.shape)
         self.nodes = {index: Node(space, index, surfaces, frame) for index in indices(space)}
         self.outputs = make_outputs(ROOM, DEPTH)
+        self.outputs.data[:, :HEAD] = 0
         self.to_host: list[Bytes] = []
         self.processed = 0  # packets
         self.stopped = 0  # calls that stopped early, for want of room

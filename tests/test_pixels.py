@@ -94,6 +94,23 @@ def test_the_cell_of_an_eye_inside_holds_the_whole_picture():
     assert len(pixels.samples) == 600
 
 
+def test_a_store_takes_the_memory_of_one_before_if_it_fits():
+    """It is empty whatever the one before still held."""
+    size, space = (30, 20), even_space((2, 1, 1), UNEVEN_STEP)
+    frame, cell = make_frame(bad_places(space, size)["in front"], size), make_cell(space, (0, 0, 0))
+    new = make_pixels(frame, space, cell)
+    before = make_pixels(frame, space, cell)
+    before.sums[:], before.samples[:] = 7, 5
+    again = make_pixels(frame, space, cell, before)
+    assert again.sums is before.sums
+    assert again.samples is before.samples
+    for one, other in zip(again, new, strict=True):
+        np.testing.assert_array_equal(one, other)
+    other_size = make_pixels(make_frame(bad_places(space, (31, 20))["in front"], (31, 20)), space, cell, before)
+    assert other_size.sums is not before.sums
+    assert not other_size.sums.any()
+
+
 # --- sending ----------------------------------------------------------------------------------------------
 
 
