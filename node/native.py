@@ -208,8 +208,28 @@ def _put_words(typingctx: Any, target: Any, at: Any, first: Any, second: Any, th
     return types.void(target, types.int64, types.int64, types.int64, types.int64), codegen
 
 
+def _load(bits: int) -> Any:
+    """The intrinsic that reads so many bits, the least byte first, as int64.
+
+    numba looks at every index whether it counts from the end, so bytes that are named one by one are loaded one by one.
+    """
+
+    def intrinsic_function(typingctx: Any, array: Any, at: Any) -> Any:
+        """The number that begins at place `at` of a flat uint8 array. Nothing is checked."""
+
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+            place = builder.bitcast(builder.gep(data, [arguments[1]]), ir.IntType(bits).as_pointer())
+            value = _least_first(builder, builder.load(place, align=1))
+            return value if bits == 64 else builder.zext(value, _LONG)
+
+        return types.int64(array, types.int64), codegen
+
+    return intrinsic(intrinsic_function)
+
+
 def _least_first(builder: Any, value: Any) -> Any:
-    """A 64-bit number in the order of bytes of this computer that puts the least first."""
+    """A number in the order of bytes of this computer that puts the least first."""
     return value if sys.byteorder == "little" else builder.bswap(value)
 
 
@@ -220,3 +240,6 @@ bytes_at: Any = intrinsic(_bytes_at)
 address: Any = intrinsic(_address)
 copy_bytes: Any = intrinsic(_copy_bytes)
 put_words: Any = intrinsic(_put_words)
+load_16: Any = _load(16)
+load_32: Any = _load(32)
+load_64: Any = _load(64)

@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 from .compiled import kernel, part
 from .errors import PacketError
-from .native import copy_bytes
+from .native import copy_bytes, load_16, load_32, load_64
 
 SIZE = 25
 
@@ -91,31 +91,31 @@ class Limits(NamedTuple):
 @part
 def read_u16(buffer, at):
     """The two bytes at `at`, as int64."""
-    return np.int64(buffer[at]) | (np.int64(buffer[at + 1]) << 8)
+    return load_16(buffer, at)
 
 
 @part
 def read_u24(buffer, at):
     """The three bytes at `at`, as int64."""
-    return np.int64(buffer[at]) | (np.int64(buffer[at + 1]) << 8) | (np.int64(buffer[at + 2]) << 16)
+    return load_16(buffer, at) | (np.int64(buffer[at + 2]) << 16)
 
 
 @part
 def read_u32(buffer, at):
     """The four bytes at `at`, as int64."""
-    return read_u16(buffer, at) | (read_u16(buffer, at + 2) << 16)
+    return load_32(buffer, at)
 
 
 @part
 def read_u48(buffer, at):
     """The six bytes at `at`, as int64."""
-    return read_u24(buffer, at) | (read_u24(buffer, at + 3) << 24)
+    return load_32(buffer, at) | (load_16(buffer, at + 4) << 32)
 
 
 @part
 def read_u64(buffer, at):
     """The eight bytes at `at`, as int64."""
-    return read_u32(buffer, at) | (read_u32(buffer, at + 4) << 32)
+    return load_64(buffer, at)
 
 
 @part

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from .ahead import AHEAD, ASTRAY, column, open_roots, read_ahead, set_up_ahead, take_root
+from .ahead import AHEAD, ASTRAY, ROOM, boxes_of, column, read_ahead, set_up_ahead, take_root
 from .compiled import lean, part
 from .lattice import T_MIN
 from .newborn import RAY_BROOD, SHADOW_BROOD
-from .outputs import HEAD, bear, fullest, give_back, hand_on, keep, write_all_noted
+from .outputs import HEAD, bear, fullest, give_back, hand_on, hand_on_all, keep, write_all_noted
 from .packets import (
     PIXEL,
     REFLECTED,
@@ -32,6 +32,7 @@ from .packets import (
     unpack_weight,
 )
 from .shading import light_direction, light_discs, light_intensity, normals, place, refract
+from .sieve import PASSING, box_of_all, ends_of_array, sift, unfinished
 from .tables import (
     BOXES,
     DIED,
@@ -44,7 +45,7 @@ from .tables import (
     TRANSMISSION,
     WALKS,
 )
-from .traverse import blocked_below, closest_below, open_root
+from .traverse import blocked_below, closest_below, for_boxes, open_root
 from .walk import (
     HOST,
     NO_PORT,
@@ -163,9 +164,12 @@ def _set_up(cell, space, frame, packets, at, port, kind):
 
 
 @part
-def _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, met, outputs, counts):
-    """A primary, reflected or refracted ray. `ray`: what `_set_up` gives; met: keys of the root on the stack."""
-    way, o, d, inv, t_in, t_out, _ = ray
+def _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, boxes, met, outputs, counts):
+    """A primary, reflected or refracted ray.
+
+    ray  what `_set_up` gives; boxes  what `for_boxes` does; met  keys of the root on the stack
+    """
+    way, o, d, _, t_in, t_out, _ = ray
     if way == ASTRAY:
         hand_on(packets, at, towards_start(cell, read_origin(packets, at)), outputs, counts)
         return
@@ -173,7 +177,7 @@ def _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, met,
     if met == 0:
         counts[BOXES] += len(surfaces.floats) > 0
     else:
-        t, item, u, v = closest_below(surfaces, outputs.stack, met, o, d, inv, max(t_in, T_MIN), t_out, counts)
+        t, item, u, v = closest_below(surfaces, outputs.stack, met, o, d, boxes, max(t_in, T_MIN), t_out, counts)
         if item >= 0:
             _shade(cell, space, frame, surfaces, packets, at, kind, o, d, t, item, u, v, outputs, counts)
             return
@@ -184,9 +188,9 @@ def _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, met,
 
 
 @part
-def _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, met, outputs, counts):
+def _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, boxes, met, outputs, counts):
     """A shadow ray: forgotten at the first surface, a return packet where it reaches its light."""
-    way, o, d, inv, t_in, t_out, distance = ray
+    way, o, d, _, t_in, t_out, distance = ray
     if way == ASTRAY:
         hand_on(packets, at, towards_start(cell, read_origin(packets, at)), outputs, counts)
         return
@@ -194,7 +198,7 @@ def _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, met, ou
     upper = min(t_out, distance)
     if met == 0:
         counts[BOXES] += len(surfaces.floats) > 0
-    if met > 0 and blocked_below(surfaces, outputs.stack, met, o, d, inv, max(t_in, T_MIN), upper, counts):
+    if met > 0 and blocked_below(surfaces, outputs.stack, met, o, d, boxes, max(t_in, T_MIN), upper, counts):
         counts[DIED + SHADOW] += 1
     elif distance <= t_out or leaves_array(cell.index, space.shape, way):
         counts[DIED + SHADOW] += 1
@@ -254,10 +258,11 @@ def step_one(cell, space, frame, surfaces, pixels, packets, at, port, outputs, c
     met, upper = 0, min(t_out, distance)
     if len(surfaces.floats) > 0:
         met = open_root(surfaces, outputs.stack, 0, o, inv, max(t_in, T_MIN), upper)
+    boxes = for_boxes(o, inv)
     if kind == SHADOW:
-        _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, met, outputs, counts)
+        _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, boxes, met, outputs, counts)
     else:
-        _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, met, outputs, counts)
+        _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, boxes, met, outputs, counts)
     write_all_noted(cell, space, frame, pixels, outputs, counts)
 
 
@@ -277,19 +282,33 @@ def _alike(packets, first, last):
 
 
 @part
-def _step_each(cell, space, frame, surfaces, pixels, packets, first, last, what, outputs, counts):
-    """The ray step of packets first..last-1, all of this sort; rays are set up already."""
+def _settle_each(cell, space, frame, pixels, packets, first, last, outputs, counts):
+    """The step of packets first..last-1, all of them returns or pixels."""
     for k in range(first, last):
-        at, j = k * SIZE, k - first
-        if what == SETTLES:
-            _settle(cell, space, frame, pixels, packets, at, np.int64(packets[at]) & 7, outputs, counts)
-            continue
-        ray, met = column(outputs.ahead, j), take_root(outputs.ahead, j, outputs.stack)
-        if what == SHADOWS_ON:
-            _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, met, outputs, counts)
+        at = k * SIZE
+        _settle(cell, space, frame, pixels, packets, at, np.int64(packets[at]) & 7, outputs, counts)
+
+
+@part
+def _step_each(cell, space, frame, surfaces, pixels, packets, first, many, shadows, marks, outputs, counts):
+    """The ray step of `many` packets from the first on, all of shadow rays or none, that are set up already.
+
+    marks  (box of all, ways that lead to no neighbour), see `node.sieve`
+    """
+    ahead = outputs.ahead
+    passing, ending, searched = sift(surfaces, many, shadows, *marks, ahead)
+    counts[WALKS] += passing
+    counts[BOXES] += passing if len(surfaces.floats) > 0 else 0
+    hand_on_all(packets, first, ahead.lists, PASSING * ROOM, passing, ahead.ways, outputs, counts)
+    for k in range(ending + searched):
+        j = unfinished(ahead, k, ending)
+        at = (first + j) * SIZE
+        ray, boxes, met = column(ahead, j), boxes_of(ahead, j), take_root(ahead, j, outputs.stack)
+        if shadows:
+            _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, boxes, met, outputs, counts)
         else:
             kind = np.int64(packets[at]) & 7
-            _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, met, outputs, counts)
+            _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, boxes, met, outputs, counts)
     write_all_noted(cell, space, frame, pixels, outputs, counts)
 
 
@@ -301,6 +320,7 @@ def step(cell, space, frame, surfaces, pixels, packets, ports, first, last, outp
     A packet gives at most one packet a light, a reflected and a refracted ray.
     """
     room = (outputs.data.shape[1] - HEAD) // SIZE
+    marks = (box_of_all(surfaces.floats), ends_of_array(cell.index, space.shape))
     k = first
     while k < last:
         # so many packets cannot fill an output, whatever they give birth to: no need to look at each
@@ -308,10 +328,12 @@ def step(cell, space, frame, surfaces, pixels, packets, ports, first, last, outp
         if stop == k:
             break
         what, stop = _alike(packets, k, stop)
-        if what != SETTLES:
-            read_ahead(frame, packets, ports, k, stop, what == SHADOWS_ON, outputs.ahead)
-            set_up_ahead(cell, space, stop - k, what == SHADOWS_ON, outputs.ahead)
-            open_roots(surfaces, stop - k, what == SHADOWS_ON, outputs.ahead)
-        _step_each(cell, space, frame, surfaces, pixels, packets, k, stop, what, outputs, counts)
+        if what == SETTLES:
+            _settle_each(cell, space, frame, pixels, packets, k, stop, outputs, counts)
+        else:
+            shadows = what == SHADOWS_ON
+            read_ahead(frame, packets, ports, k, stop, shadows, outputs.ahead)
+            set_up_ahead(cell, space, stop - k, shadows, outputs.ahead)
+            _step_each(cell, space, frame, surfaces, pixels, packets, k, stop - k, shadows, marks, outputs, counts)
         k = stop
     return k
