@@ -230,7 +230,7 @@ def _load(bits: int) -> Any:
 
 def _least_first(builder: Any, value: Any) -> Any:
     """A number in the order of bytes of this computer that puts the least first."""
-    return value if sys.byteorder == "little" else builder.bswap(value)
+    return value if sys.byteorder == "little" or value.type.width == 8 else builder.bswap(value)
 
 
 # kernels call them without the first argument
@@ -240,6 +240,7 @@ bytes_at: Any = intrinsic(_bytes_at)
 address: Any = intrinsic(_address)
 copy_bytes: Any = intrinsic(_copy_bytes)
 put_words: Any = intrinsic(_put_words)
+load_8: Any = _load(8)
 load_16: Any = _load(16)
 load_32: Any = _load(32)
 load_64: Any = _load(64)

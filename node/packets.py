@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 from .compiled import kernel, part
 from .errors import PacketError
-from .native import copy_bytes, load_16, load_32, load_64
+from .native import copy_bytes, load_8, load_16, load_32, load_64, put_words
 
 SIZE = 25
 
@@ -97,7 +97,7 @@ def read_u16(buffer, at):
 @part
 def read_u24(buffer, at):
     """The three bytes at `at`, as int64."""
-    return load_16(buffer, at) | (np.int64(buffer[at + 2]) << 16)
+    return load_16(buffer, at) | (load_8(buffer, at + 2) << 16)
 
 
 @part
@@ -122,7 +122,25 @@ def read_u64(buffer, at):
 def read_origin(buffer, at):
     """The three lattice coordinates of the ray or shadow ray whose packet begins at `at`."""
     low = read_u64(buffer, at + 5)
-    return low & 0xFFFFFF, (low >> 24) & 0xFFFFFF, ((low >> 48) & 0xFFFF) | (np.int64(buffer[at + 13]) << 16)
+    return low & 0xFFFFFF, (low >> 24) & 0xFFFFFF, ((low >> 48) & 0xFFFF) | (load_8(buffer, at + 13) << 16)
+
+
+@part
+def read_kind(buffer, at):
+    """The kind of the packet that begins at `at`."""
+    return load_8(buffer, at) & 7
+
+
+@part
+def read_depth(buffer, at):
+    """The depth of the packet that begins at `at`."""
+    return load_8(buffer, at) >> 3
+
+
+@part
+def read_weight(buffer, at):
+    """Three float64 weights of the ray whose packet begins at `at`."""
+    return unpack_weight(read_u64(buffer, at + 17) >> 24)
 
 
 @part
@@ -231,14 +249,21 @@ def put_shadow(buffer, at, depth, sample, origin, light, weights):
 @part
 def put_return(buffer, at, depth, sample, intensity, home):
     """Write a return packet. `intensity`: three binary32, `home`: cell of the sample's home."""
-    buffer[at] = np.uint8(RETURN | (depth << 3))
-    write(buffer, at + 1, sample, 4)
-    for k in range(3):
-        # a product of bright things may be infinite
-        finite = np.float32(min(np.float64(intensity[k]), LARGEST_BINARY32))
-        write(buffer, at + 5 + 4 * k, np.int64(finite.view(np.uint32)), 4)
-        write(buffer, at + 17 + 2 * k, home[k], 2)
-    write(buffer, at + 23, np.int64(0), 2)
+    red, green, blue = _finite_bits(intensity[0]), _finite_bits(intensity[1]), _finite_bits(intensity[2])
+    put_words(
+        buffer,
+        at,
+        RETURN | (depth << 3) | (sample << 8) | ((red & 0xFFFFFF) << 40),
+        (red >> 24) | (green << 8) | ((blue & 0xFFFFFF) << 40),
+        (blue >> 24) | (home[0] << 8) | (home[1] << 24) | (home[2] << 40),
+    )
+    buffer[at + 24] = np.uint8(0)
+
+
+@part
+def _finite_bits(intensity):
+    """The bits of a binary32; a product of bright things may be infinite."""
+    return np.int64(np.float32(min(np.float64(intensity), LARGEST_BINARY32)).view(np.uint32))
 
 
 @part
@@ -298,21 +323,39 @@ def _fault_of_return(buffer, at, limits):
 
 
 @part
+def _is_sound_start(head, limits):
+    """Whether depth and sample are those of a ray or shadow ray; `head`: the first bytes of its packet."""
+    depth, number = (head >> 3) & 31, (head >> 8) & 0xFFFFFFFF
+    return (depth >= 1) & (depth <= limits.depth) & (number < limits.samples)
+
+
+@part
+def is_sound_shadow(buffer, at, limits):
+    """Whether the packet at `at`, which is of a shadow ray, has no fault. Without a branch, as the next one."""
+    tail = read_u64(buffer, at + 14)
+    weights = max((tail >> 16) & 0xFFFFFF, max((tail >> 40) & 0xFFFFFF, read_u24(buffer, at + 22)))
+    sound = _is_sound_start(read_u64(buffer, at), limits)
+    return sound & ((tail & 0xFFFF) < limits.lights) & (weights < 0xFF0000)
+
+
+@part
+def is_sound_ray(buffer, at, limits):
+    """Whether the packet at `at`, which is not of a shadow ray, return or pixel, is one of a ray without a fault."""
+    head, tail = read_u64(buffer, at), read_u64(buffer, at + 14)
+    sound = _is_sound_start(head, limits) & ((head & 7) >= PRIMARY) & ((head & 7) <= REFRACTED)
+    return sound & (max(tail & 0xFFFFFF, (tail >> 24) & 0xFFFFFF) <= 2 * HALF_DIRECTION)
+
+
+@part
 def fault(buffer, at, limits):
     """0 if the 25 bytes at `at` are a packet of this frame, else a key of FAULTS."""
-    head = read_u64(buffer, at)
-    kind, depth, number = head & 7, (head >> 3) & 31, (head >> 8) & 0xFFFFFFFF
     # rays and shadow rays, nearly all that comes, by one branch
-    sound = (depth >= 1) & (depth <= limits.depth) & (number < limits.samples)
+    kind = read_kind(buffer, at)
     if kind == SHADOW:
-        tail = read_u64(buffer, at + 14)
-        weights = max((tail >> 16) & 0xFFFFFF, max((tail >> 40) & 0xFFFFFF, read_u24(buffer, at + 22)))
-        if sound & ((tail & 0xFFFF) < limits.lights) & (weights < 0xFF0000):
+        if is_sound_shadow(buffer, at, limits):
             return 0
-    elif kind >= PRIMARY and kind <= REFRACTED:
-        tail = read_u64(buffer, at + 14)
-        if sound & (max(tail & 0xFFFFFF, (tail >> 24) & 0xFFFFFF) <= 2 * HALF_DIRECTION):
-            return 0
+    elif is_sound_ray(buffer, at, limits):
+        return 0
     return _named_fault(buffer, at, limits)
 
 

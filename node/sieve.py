@@ -105,7 +105,7 @@ def sift(surfaces, many, shadows, box, ends, ahead):
     passing, ending, near_by = tops
     searched = np.int64(0)
     for k in range(near_by):
-        j = lists[NEAR_BY * ROOM + k]
+        j = lists[NEAR_BY * ROOM + k] & (AHEAD - 1)
         ending_here = met[j]  # until the root is opened
         missed = open_root_of(surfaces, ahead, j) == 0
         lists[PASSING * ROOM + passing] = lists[ENDING * ROOM + ending] = lists[SEARCHED * ROOM + searched] = j
@@ -118,7 +118,8 @@ def sift(surfaces, many, shadows, box, ends, ahead):
 @part
 def unfinished(ahead, k, ending):
     """The number of ray k of those that are ENDING, this many, and then of those that are SEARCHED."""
-    return ahead.lists[ENDING * ROOM + k if k < ending else SEARCHED * ROOM + k - ending]
+    place = ENDING * ROOM + k if k < ending else SEARCHED * ROOM + k - ending
+    return ahead.lists[place & (1024 - 1)] & (AHEAD - 1)
 
 
 # --- eight at once -------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from .ahead import AHEAD, ASTRAY, ROOM, boxes_of, column, read_ahead, set_up_ahe
 from .compiled import lean, part
 from .lattice import T_MIN
 from .newborn import RAY_BROOD, SHADOW_BROOD
-from .outputs import HEAD, bear, fullest, give_back, hand_on, hand_on_all, keep, write_all_noted
+from .outputs import HEAD, bear, fullest, give_back, hand_on, hand_on_all, keep, noted, write_all_noted
 from .packets import (
     PIXEL,
     REFLECTED,
@@ -23,13 +23,15 @@ from .packets import (
     SHADOW,
     SIZE,
     get_intensity,
+    read_depth,
+    read_kind,
     read_origin,
     read_u16,
     read_u24,
     read_u32,
+    read_weight,
     unit_vector,
     unpack_shadow_weight,
-    unpack_weight,
 )
 from .shading import light_direction, light_discs, light_intensity, normals, place, refract
 from .sieve import PASSING, box_of_all, ends_of_array, sift, unfinished
@@ -58,7 +60,7 @@ from .walk import (
 )
 
 # what is done with a packet, by its kind
-SETTLES, WALKS_ON, SHADOWS_ON = 0, 1, 2
+WALKS_ON, SHADOWS_ON, SETTLES = 0, 1, 2
 
 
 @part
@@ -93,8 +95,8 @@ def _bear_shadows(cell, space, frame, material, depth, sample, p, g, n, mirror, 
 @part
 def _shade(cell, space, frame, surfaces, packets, at, kind, o, d, t, item, u, v, outputs, counts):
     """The incoming ray dies at a hit; what it gives birth to is put on the outputs."""
-    sample, depth = read_u32(packets, at + 1), np.int64(packets[at]) >> 3
-    weight = unpack_weight(read_u32(packets, at + 20) | (np.int64(packets[at + 24]) << 32))
+    sample, depth = read_u32(packets, at + 1), read_depth(packets, at)
+    weight = read_weight(packets, at)
     p = (o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2])
     g, n = normals(surfaces, item, p, u, v)
     material = np.int64(surfaces.materials[item])
@@ -128,8 +130,8 @@ def _shade(cell, space, frame, surfaces, packets, at, kind, o, d, t, item, u, v,
 @part
 def _at_edge(cell, space, frame, pixels, packets, at, kind, d, outputs, counts):
     """A ray that leaves the scene brings home the background, or the light that it is directed towards."""
-    sample, depth = read_u32(packets, at + 1), np.int64(packets[at]) >> 3
-    weight = unpack_weight(read_u32(packets, at + 20) | (np.int64(packets[at + 24]) << 32))
+    sample, depth = read_u32(packets, at + 1), read_depth(packets, at)
+    weight = read_weight(packets, at)
     red, green, blue = edge_colour(frame, d)
     counts[DIED + kind] += 1
     give_back(
@@ -205,7 +207,7 @@ def _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, boxes, 
         red = unpack_shadow_weight(read_u24(packets, at + 16))
         green = unpack_shadow_weight(read_u24(packets, at + 19))
         blue = unpack_shadow_weight(read_u24(packets, at + 22))
-        sample, depth = read_u32(packets, at + 1), np.int64(packets[at]) >> 3
+        sample, depth = read_u32(packets, at + 1), read_depth(packets, at)
         give_back(cell, space, frame, pixels, sample, depth, red, green, blue, outputs, counts)
     else:
         hand_on(packets, at, way, outputs, counts)
@@ -217,7 +219,9 @@ def _step_return(cell, frame, pixels, packets, at, outputs, counts):
     there = (read_u16(packets, at + 17), read_u16(packets, at + 19), read_u16(packets, at + 21))
     port = towards_cell(cell.index, there)
     if port == NO_PORT:
-        keep(frame, pixels, read_u32(packets, at + 1), get_intensity(packets, at), counts)
+        pixel = read_u32(packets, at + 1) // frame.samples
+        row = pixel // frame.width
+        keep(pixels, (pixel - row * frame.width, row), get_intensity(packets, at), counts)
     else:
         hand_on(packets, at, port, outputs, counts)
 
@@ -249,7 +253,7 @@ def _settle(cell, space, frame, pixels, packets, at, kind, outputs, counts):
 @part
 def step_one(cell, space, frame, surfaces, pixels, packets, at, port, outputs, counts):
     """The ray step of one packet."""
-    kind = np.int64(packets[at]) & 7
+    kind = read_kind(packets, at)
     if kind == RETURN or kind == PIXEL:
         _settle(cell, space, frame, pixels, packets, at, kind, outputs, counts)
         return
@@ -269,16 +273,21 @@ def step_one(cell, space, frame, surfaces, pixels, packets, at, port, outputs, c
 @part
 def _what(kind):
     """Which of the three sorts of steps a packet of this kind takes."""
-    return SHADOWS_ON if kind == SHADOW else (SETTLES if kind == RETURN or kind == PIXEL else WALKS_ON)
+    return np.int64(kind >= SHADOW) + np.int64(kind > SHADOW)
 
 
 @part
 def _alike(packets, first, last):
     """(sort of step of packet `first`, the first packet after it with another, or `last`)."""
-    what, k = _what(np.int64(packets[first * SIZE]) & 7), first + 1
-    while k < last and _what(np.int64(packets[k * SIZE]) & 7) == what:
-        k += 1
-    return what, k
+    what, others = _what(read_kind(packets, first * SIZE)), 0
+    for k in range(first + 1, last):  # nearly always there are none, and without a branch that is soon known
+        others |= _what(read_kind(packets, k * SIZE)) ^ what
+    end = last
+    if others != 0:
+        end = first + 1
+        while _what(read_kind(packets, end * SIZE)) == what:
+            end += 1
+    return what, end
 
 
 @part
@@ -286,7 +295,7 @@ def _settle_each(cell, space, frame, pixels, packets, first, last, outputs, coun
     """The step of packets first..last-1, all of them returns or pixels."""
     for k in range(first, last):
         at = k * SIZE
-        _settle(cell, space, frame, pixels, packets, at, np.int64(packets[at]) & 7, outputs, counts)
+        _settle(cell, space, frame, pixels, packets, at, read_kind(packets, at), outputs, counts)
 
 
 @part
@@ -307,9 +316,8 @@ def _step_each(cell, space, frame, surfaces, pixels, packets, first, many, shado
         if shadows:
             _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, boxes, met, outputs, counts)
         else:
-            kind = np.int64(packets[at]) & 7
+            kind = read_kind(packets, at)
             _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, boxes, met, outputs, counts)
-    write_all_noted(cell, space, frame, pixels, outputs, counts)
 
 
 @lean
@@ -324,7 +332,7 @@ def step(cell, space, frame, surfaces, pixels, packets, ports, first, last, outp
     k = first
     while k < last:
         # so many packets cannot fill an output, whatever they give birth to: no need to look at each
-        stop = min(last, k + min(AHEAD, (room - fullest(outputs.held)) // (frame.n_lights + 2)))
+        stop = min(last, k + min(AHEAD, (room - fullest(outputs.held) - noted(outputs)) // (frame.n_lights + 2)))
         if stop == k:
             break
         what, stop = _alike(packets, k, stop)
@@ -336,4 +344,5 @@ def step(cell, space, frame, surfaces, pixels, packets, ports, first, last, outp
             set_up_ahead(cell, space, stop - k, shadows, outputs.ahead)
             _step_each(cell, space, frame, surfaces, pixels, packets, k, stop - k, shadows, marks, outputs, counts)
         k = stop
+    write_all_noted(cell, space, frame, pixels, outputs, counts)
     return k

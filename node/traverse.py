@@ -102,7 +102,10 @@ def closest(surfaces, stack, o, d, inv, lower, upper, counts):
 
 @part
 def closest_below(surfaces, stack, met, o, d, boxes, lower, upper, counts):
-    """As `closest`, where the keys that `open_root` gives are on the stack already, this many; boxes: the ray as `for_boxes` gives it."""
+    """As `closest`, where the keys that `open_root` gives are on the stack already, this many.
+
+    boxes  the ray as `for_boxes` gives it
+    """
     ray, near = boxes
     low = np.float32(lower)
     best, best_item, best_u, best_v = upper, np.int64(-1), 0.0, 0.0
@@ -146,7 +149,7 @@ def blocked(surfaces, stack, o, d, inv, lower, upper, counts):
 
 @part
 def blocked_below(surfaces, stack, met, o, d, boxes, lower, upper, counts):
-    """As `blocked`, where the keys that `open_root` gives are on the stack already, this many; boxes: the ray as `for_boxes` gives it."""
+    """As `blocked`, where the keys that `open_root` gives are on the stack already, this many; boxes as there."""
     ray, near = boxes
     low, high = np.float32(lower), np.float32(min(upper, FAREST))
     top, opened = np.int64(0), 0

@@ -77,6 +77,9 @@ class Lanes:
     def __or__(self, other: Lanes | int) -> Lanes:
         return self._with(self.builder.or_(self.value, self._same(other)))
 
+    def __xor__(self, other: Lanes | int) -> Lanes:
+        return self._with(self.builder.xor(self.value, self._same(other)))
+
     def __lshift__(self, places: Lanes | int) -> Lanes:
         return self._with(self.builder.shl(self.value, self._same(places)))
 
@@ -174,6 +177,10 @@ class Lanes:
     def as_whole(self) -> Lanes:
         """Numbers without their fractions, which must be small, as int32."""
         return self._as("fptosi", _INT)
+
+    def as_number(self) -> Lanes:
+        """Numbers without their fractions, as int64."""
+        return self._as("fptosi", _LONG)
 
     def as_long(self) -> Lanes:
         """Whole numbers that are not negative, or truths, as int64."""
