@@ -21,7 +21,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from .compiled import part
-from .lanes import WIDE, push_boxes
+from .lanes import WIDE, copy_keys, push_boxes
 from .lattice import T_MIN
 from .native import copy_bytes
 from .packets import HALF_DIRECTION, LATTICE, SIZE, read_u64
@@ -313,6 +313,5 @@ def open_root_of(surfaces, ahead, j):
 @part
 def take_root(ahead, j, stack):
     """Put the keys of a ray on the stack of a walk; how many."""
-    for k in range(WIDE):
-        stack[k] = ahead.roots[j * WIDE + k]
+    copy_keys(ahead.roots, j * WIDE, stack, 0)
     return ahead.met[j]

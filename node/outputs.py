@@ -22,7 +22,7 @@ from .newborn import RAY_BROOD, SHADOW_BROOD, Newborn, make_newborn, note, put, 
 from .packets import RETURN, SIZE, copy_packet, put_return
 from .pixels import fixed_point, slot
 from .tables import BORN, DIED, HOMES, MISADDRESSED, SENT
-from .walk import NO_PORT, OUTPUTS, PORTS, SELF, SELF_RAYS, towards_start
+from .walk import HOST, NO_PORT, OUTPUTS, SELF, SELF_RAYS, towards_start
 
 HEAD = 20  # bytes kept free at the head of every output for the link's header
 
@@ -80,14 +80,14 @@ def hand_on(packets, at, output, outputs, counts):
 def hand_on_all(packets, first, numbers, begin, many, ways, outputs, counts):
     """Hand on the packets first + j, each by the port ways[j], for the numbers j at places begin..begin+many-1."""
     held, data = outputs.held, outputs.data
-    for port in range(PORTS):
+    for port in range(HOST + 1):
         counts[SENT + port] -= held[port]
     for k in range(begin, begin + many):
         j = numbers[k] & (AHEAD - 1)
         port = ways[j] & 7
         copy_packet(packets, (first + j) * SIZE, data[port], HEAD + held[port] * SIZE)
         held[port] += 1
-    for port in range(PORTS):
+    for port in range(HOST + 1):
         counts[SENT + port] += held[port]
 
 
