@@ -11,11 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .compiled import lean, part
+from .native import copy_bytes
 from .outputs import HEAD
-from .packets import PIXEL, RETURN, SHADOW, SIZE, Limits, copy_packet, fault
+from .packets import (
+    SHADOW,
+    SIZE,
+    Limits,
+    fault,
+    is_sound_ray,
+    is_sound_shadow,
+    is_sound_traveller,
+    read_kind,
+)
 
 TRAVELLERS, SHADOWS, RAYS = 0, 1, 2
 CLASSES = 3
+RUN = 64  # most packets that are copied at once: so they are still in the nearest cache
 MOST = 3  # place after the classes: the most packets that waited at once
 FIRST_ROOM = 32768  # packets; kept from frame to frame, so that its pages are there
 BYTES_A_PACKET = SIZE + 1  # the packet, and the port by which it came
@@ -35,30 +46,65 @@ class Stacks(NamedTuple):
 
 
 @part
+def _class(kind):
+    """The class of a kind of packet; of what is no kind any."""
+    return TRAVELLERS if kind > SHADOW else (SHADOWS if kind == SHADOW else RAYS)
+
+
+@part
+def _sound_run(message, first, last, limits):
+    """(class of packet `first`, end of the run of packets of that class from there that have no fault, or `last`).
+
+    In a loop for each class, so that what is checked is not chosen for each packet.
+    """
+    kind, k = _class(read_kind(message, HEAD + first * SIZE)), first
+    if kind == SHADOWS:
+        while k < last and is_sound_shadow(message, HEAD + k * SIZE, limits):
+            k += 1
+    elif kind == RAYS:
+        while k < last and is_sound_ray(message, HEAD + k * SIZE, limits):
+            k += 1
+    else:
+        while k < last and is_sound_traveller(message, HEAD + k * SIZE, limits):
+            k += 1
+    return kind, k
+
+
+@part
+def _put(message, first, end, packets, ports, port, held):
+    """Put packets first..end-1 of a message on a stack; how many it holds then."""
+    many = end - first
+    copy_bytes(message, HEAD + first * SIZE, packets, held * SIZE, many * SIZE)
+    for k in range(held, held + many):
+        ports[k] = port
+    return held + many
+
+
+@part
 def sort(message, count, port, bounds, stacks, held):
     """Check `count` packets of a message and put each on the stack of its class; (first bad one or -1, its fault).
 
+    Packets of a class come in runs, as the neighbour's steps put them out, and are copied so.
     bounds: int64, the fields of Limits; held: int64, packets on each stack, updated.
     """
     limits = Limits(bounds[0], bounds[1], bounds[2], bounds[3], (bounds[4], bounds[5], bounds[6]))
-    for k in range(count):
-        at = HEAD + k * SIZE
-        bad = fault(message, at, limits)
-        if bad != 0:
-            return k, bad
-        kind = np.int64(message[at]) & 7
-        if kind == SHADOW:
-            copy_packet(message, at, stacks.shadows, held[SHADOWS] * SIZE)
-            stacks.shadow_ports[held[SHADOWS]] = port
-            held[SHADOWS] += 1
-        elif kind == RETURN or kind == PIXEL:
-            copy_packet(message, at, stacks.travellers, held[TRAVELLERS] * SIZE)
-            stacks.traveller_ports[held[TRAVELLERS]] = port
-            held[TRAVELLERS] += 1
+    first = 0
+    while first < count:
+        kind, end = _sound_run(message, first, min(count, first + RUN), limits)
+        if end == first:
+            bad = fault(message, HEAD + first * SIZE, limits)
+            if bad != 0:
+                return first, bad
+            end += 1  # sound after all
+        if kind == SHADOWS:
+            held[SHADOWS] = _put(message, first, end, stacks.shadows, stacks.shadow_ports, port, held[SHADOWS])
+        elif kind == RAYS:
+            held[RAYS] = _put(message, first, end, stacks.rays, stacks.ray_ports, port, held[RAYS])
         else:
-            copy_packet(message, at, stacks.rays, held[RAYS] * SIZE)
-            stacks.ray_ports[held[RAYS]] = port
-            held[RAYS] += 1
+            held[TRAVELLERS] = _put(
+                message, first, end, stacks.travellers, stacks.traveller_ports, port, held[TRAVELLERS]
+            )
+        first = end
     held[MOST] = max(held[MOST], held[TRAVELLERS] + held[SHADOWS] + held[RAYS])
     return -1, 0
 

@@ -331,19 +331,29 @@ def _is_sound_start(head, limits):
 
 @part
 def is_sound_shadow(buffer, at, limits):
-    """Whether the packet at `at`, which is of a shadow ray, has no fault. Without a branch, as the next one."""
-    tail = read_u64(buffer, at + 14)
-    weights = max((tail >> 16) & 0xFFFFFF, max((tail >> 40) & 0xFFFFFF, read_u24(buffer, at + 22)))
-    sound = _is_sound_start(read_u64(buffer, at), limits)
+    """Whether the packet at `at` is one of a shadow ray without a fault. Without a branch, as the next two."""
+    head, tail = read_u64(buffer, at), read_u64(buffer, at + 14)
+    weights = max((tail >> 16) & 0xFFFFFF, max((tail >> 40) & 0xFFFFFF, read_u64(buffer, at + 17) >> 40 & 0xFFFFFF))
+    sound = _is_sound_start(head, limits) & ((head & 7) == SHADOW)
     return sound & ((tail & 0xFFFF) < limits.lights) & (weights < 0xFF0000)
 
 
 @part
 def is_sound_ray(buffer, at, limits):
-    """Whether the packet at `at`, which is not of a shadow ray, return or pixel, is one of a ray without a fault."""
+    """Whether the packet at `at` is one of a primary, reflected or refracted ray without a fault."""
     head, tail = read_u64(buffer, at), read_u64(buffer, at + 14)
     sound = _is_sound_start(head, limits) & ((head & 7) >= PRIMARY) & ((head & 7) <= REFRACTED)
     return sound & (max(tail & 0xFFFFFF, (tail >> 24) & 0xFFFFFF) <= 2 * HALF_DIRECTION)
+
+
+@part
+def is_sound_traveller(buffer, at, limits):
+    """Whether the packet at `at` is a return without a fault. (Of pixels it says no: there are few.)"""
+    head, middle, tail = read_u64(buffer, at), read_u64(buffer, at + 5), read_u64(buffer, at + 17)
+    largest = max(middle & 0xFFFFFFFF, max((middle >> 32) & 0xFFFFFFFF, read_u32(buffer, at + 13)))
+    x, y, z = tail & 0xFFFF, (tail >> 16) & 0xFFFF, (tail >> 32) & 0xFFFF
+    inside = (x < limits.shape[0]) & (y < limits.shape[1]) & (z < limits.shape[2]) & ((tail >> 48) & 0xFFFF == 0)
+    return _is_sound_start(head, limits) & ((head & 7) == RETURN) & (largest < 0x7F800000) & inside
 
 
 @part
