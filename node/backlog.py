@@ -11,22 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .compiled import lean, part
-from .native import copy_bytes
 from .outputs import HEAD
 from .packets import (
     SHADOW,
     SIZE,
     Limits,
+    copy_packet,
     fault,
     is_sound_ray,
+    is_sound_return,
     is_sound_shadow,
-    is_sound_traveller,
     read_kind,
 )
 
 TRAVELLERS, SHADOWS, RAYS = 0, 1, 2
 CLASSES = 3
-RUN = 64  # most packets that are copied at once: so they are still in the nearest cache
 MOST = 3  # place after the classes: the most packets that waited at once
 FIRST_ROOM = 32768  # packets; kept from frame to frame, so that its pages are there
 BYTES_A_PACKET = SIZE + 1  # the packet, and the port by which it came
@@ -52,58 +51,52 @@ def _class(kind):
 
 
 @part
-def _sound_run(message, first, last, limits):
-    """(class of packet `first`, end of the run of packets of that class from there that have no fault, or `last`).
-
-    In a loop for each class, so that what is checked is not chosen for each packet.
-    """
-    kind, k = _class(read_kind(message, HEAD + first * SIZE)), first
+def _take_run(message, first, count, limits, kind, packets, held):
+    """Copy packets of one class from packet `first` on to a stack, until one is of another class or has a fault; the
+    number of that one. A loop for each class, so that what is checked is not chosen for each packet."""
+    at, to, k = HEAD + first * SIZE, held * SIZE, first
     if kind == SHADOWS:
-        while k < last and is_sound_shadow(message, HEAD + k * SIZE, limits):
-            k += 1
+        while k < count and is_sound_shadow(message, at, limits):
+            copy_packet(message, at, packets, to)
+            at, to, k = at + SIZE, to + SIZE, k + 1
     elif kind == RAYS:
-        while k < last and is_sound_ray(message, HEAD + k * SIZE, limits):
-            k += 1
+        while k < count and is_sound_ray(message, at, limits):
+            copy_packet(message, at, packets, to)
+            at, to, k = at + SIZE, to + SIZE, k + 1
     else:
-        while k < last and is_sound_traveller(message, HEAD + k * SIZE, limits):
-            k += 1
-    return kind, k
-
-
-@part
-def _put(message, first, end, packets, ports, port, held):
-    """Put packets first..end-1 of a message on a stack; how many it holds then."""
-    many = end - first
-    copy_bytes(message, HEAD + first * SIZE, packets, held * SIZE, many * SIZE)
-    for k in range(held, held + many):
-        ports[k] = port
-    return held + many
+        while k < count and is_sound_return(message, at, limits):
+            copy_packet(message, at, packets, to)
+            at, to, k = at + SIZE, to + SIZE, k + 1
+    return k
 
 
 @part
 def sort(message, count, port, bounds, stacks, held):
     """Check `count` packets of a message and put each on the stack of its class; (first bad one or -1, its fault).
 
-    Packets of a class come in runs, as the neighbour's steps put them out, and are copied so.
-    bounds: int64, the fields of Limits; held: int64, packets on each stack, updated.
+    Packets of a class come in runs, as the neighbour's steps put them out.
+    bounds: int64, the fields of Limits; held: int64, packets on each stack, updated. Each stack has room for all.
     """
     limits = Limits(bounds[0], bounds[1], bounds[2], bounds[3], (bounds[4], bounds[5], bounds[6]))
     first = 0
     while first < count:
-        kind, end = _sound_run(message, first, min(count, first + RUN), limits)
-        if end == first:
-            bad = fault(message, HEAD + first * SIZE, limits)
+        at = HEAD + first * SIZE
+        kind = _class(read_kind(message, at))
+        packets, ports = stacks.travellers, stacks.traveller_ports
+        if kind == SHADOWS:
+            packets, ports = stacks.shadows, stacks.shadow_ports
+        elif kind == RAYS:
+            packets, ports = stacks.rays, stacks.ray_ports
+        end = _take_run(message, first, count, limits, kind, packets, held[kind])
+        if end == first:  # a pixel, or it has a fault
+            bad = fault(message, at, limits)
             if bad != 0:
                 return first, bad
-            end += 1  # sound after all
-        if kind == SHADOWS:
-            held[SHADOWS] = _put(message, first, end, stacks.shadows, stacks.shadow_ports, port, held[SHADOWS])
-        elif kind == RAYS:
-            held[RAYS] = _put(message, first, end, stacks.rays, stacks.ray_ports, port, held[RAYS])
-        else:
-            held[TRAVELLERS] = _put(
-                message, first, end, stacks.travellers, stacks.traveller_ports, port, held[TRAVELLERS]
-            )
+            copy_packet(message, at, packets, held[kind] * SIZE)
+            end += 1
+        for k in range(held[kind], held[kind] + end - first):
+            ports[k] = port
+        held[kind] += end - first
         first = end
     held[MOST] = max(held[MOST], held[TRAVELLERS] + held[SHADOWS] + held[RAYS])
     return -1, 0

@@ -347,8 +347,8 @@ def is_sound_ray(buffer, at, limits):
 
 
 @part
-def is_sound_traveller(buffer, at, limits):
-    """Whether the packet at `at` is a return without a fault. (Of pixels it says no: there are few.)"""
+def is_sound_return(buffer, at, limits):
+    """Whether the packet at `at` is a return without a fault."""
     head, middle, tail = read_u64(buffer, at), read_u64(buffer, at + 5), read_u64(buffer, at + 17)
     largest = max(middle & 0xFFFFFFFF, max((middle >> 32) & 0xFFFFFFFF, read_u32(buffer, at + 13)))
     x, y, z = tail & 0xFFFF, (tail >> 16) & 0xFFFF, (tail >> 32) & 0xFFFF

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from support_packets import pixel_bytes, ray_bytes, return_bytes, rows, shadow_bytes
 
 from raygrid.node import packets
-from raygrid.node.backlog import CLASSES, MOST, RAYS, RUN, SHADOWS, TRAVELLERS, Backlog
+from raygrid.node.backlog import CLASSES, MOST, RAYS, SHADOWS, TRAVELLERS, Backlog
 from raygrid.node.outputs import HEAD
 from raygrid.node.packets import SIZE, Limits
 
@@ -23,8 +23,8 @@ EACH = [
 
 @st.composite
 def messages(draw):
-    """Runs of packets of a kind, longer than what is copied at once, too; a few bytes of a few of them are other ones."""
-    runs = draw(st.lists(st.tuples(st.sampled_from(EACH), st.integers(1, 2 * RUN + 1)), max_size=6))
+    """Runs of packets of a kind; a few bytes of a few of them are other ones."""
+    runs = draw(st.lists(st.tuples(st.sampled_from(EACH), st.integers(1, 70)), max_size=6))
     data = bytearray(b"".join(packet * many for packet, many in runs))
     changed = draw(st.lists(st.tuples(st.integers(0, 1 << 20), st.integers(0, 255)), max_size=3))
     for at, value in changed if data else []:
@@ -74,4 +74,4 @@ def test_what_is_sound_has_no_fault(packet, changed):
     assert packets.fault(buffer, 0, LIMITS) == bad
     assert packets.is_sound_shadow(buffer, 0, LIMITS) == (bad == 0 and kind == packets.SHADOW)
     assert packets.is_sound_ray(buffer, 0, LIMITS) == (bad == 0 and kind <= packets.REFRACTED)
-    assert packets.is_sound_traveller(buffer, 0, LIMITS) == (bad == 0 and kind == packets.RETURN)
+    assert packets.is_sound_return(buffer, 0, LIMITS) == (bad == 0 and kind == packets.RETURN)
