@@ -21,35 +21,48 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from .compiled import part
-from .lanes import WIDE
+from .lanes import WIDE, copy_keys, push_boxes
 from .lattice import T_MIN
-from .packets import HALF_DIRECTION, LATTICE, SIZE, read_origin, read_u16, read_u64
+from .native import copy_bytes
+from .packets import HALF_DIRECTION, LATTICE, SIZE, read_u64
 from .tables import LIGHT_KIND
 from .tables import PLACE as LIGHT_PLACE
-from .traverse import open_root
-from .vectors import EIGHT, Lanes, Table, least, most, splats
+from .traverse import FAREST
+from .vectors import EIGHT, Lanes, Table, least, most, splats, within
 from .walk import HUGE
 
+LISTS = 4
 AHEAD = 128  # rays that are set up before the first of them is looked for hits; a multiple of EIGHT
+ROOM = AHEAD + EIGHT  # of a list: eight places are written at once
 ASTRAY = 8  # the way of a ray that has to go to the cell of its origin first
-# rows of Ahead.whole: lattice coordinates, direction codes, port
-ORIGIN, CODES, PORT, WHOLE = 0, 3, 5, 6
+# rows of Ahead.words: eight bytes of a packet each, that hold its origin, and the rest of it with the direction or light
+FRONT, BACK, WORDS = 0, 1, 2
+FRONT_BYTE, BACK_BYTE = 5, 13  # where they begin in a packet
 # rows of Ahead.known: origin, direction, inverse direction, times of entry and exit, distance of the light
 PLACE, DIRECTION, INVERSE, T_IN, T_OUT, DISTANCE, KNOWN = 0, 3, 6, 9, 10, 11, 12
+# rows of Ahead.singles, for boxes: origin, inverse direction, and the times between which they are looked for
+BOX_PLACE, BOX_INVERSE, BOX_LOW, BOX_HIGH, SINGLES = 0, 3, 6, 7, 8
 
 
 class Ahead(NamedTuple):
     """Rays that are set up, a column each; flat.
 
-    whole  int32 (WHOLE * AHEAD,), what their packets say
-    known  float64 (KNOWN * AHEAD,), what is worked out; of a shadow ray place and kind of its light before
-    ways   int64 (AHEAD,), exit ports, or ASTRAY
-    roots  int64 (AHEAD * WIDE,), keys of the root's boxes that each ray meets (`node.lanes`); met  int64 (AHEAD,), how many
+    words    int64 (WORDS * AHEAD,), what their packets say; ports  uint8 (AHEAD,), by which each came
+    known    float64 (KNOWN * AHEAD,), what is worked out; of a shadow ray place and kind of its light before
+    singles  float32 (SINGLES * AHEAD,), the same as boxes want it
+    nears    int64 (3 * AHEAD,), words of a node at which each axis' near planes begin (`traverse.for_boxes`)
+    ways     int64 (AHEAD,), exit ports, or ASTRAY
+    lists    int64 (LISTS * ROOM,), numbers of rays (`node.sieve`)
+    roots    int64 (AHEAD * WIDE,), keys of the root's boxes that each ray meets (`node.lanes`); met  int64 (AHEAD,), how many
     """
 
-    whole: NDArray[np.int32]
+    words: NDArray[np.int64]
+    ports: NDArray[np.uint8]
     known: NDArray[np.float64]
+    singles: NDArray[np.float32]
+    nears: NDArray[np.int64]
     ways: NDArray[np.int64]
+    lists: NDArray[np.int64]
     roots: NDArray[np.int64]
     met: NDArray[np.int64]
 
@@ -57,17 +70,30 @@ class Ahead(NamedTuple):
 def make_ahead() -> Ahead:
     """Room for AHEAD rays."""
     return Ahead(
-        np.zeros(WHOLE * AHEAD, np.int32),
+        np.zeros(WORDS * AHEAD, np.int64),
+        np.zeros(AHEAD, np.uint8),
         np.zeros(KNOWN * AHEAD),
+        np.zeros(SINGLES * AHEAD, np.float32),
+        np.zeros(3 * AHEAD, np.int64),
         np.zeros(AHEAD, np.int64),
+        np.zeros(LISTS * ROOM, np.int64),
         np.zeros(AHEAD * WIDE, np.int64),
         np.zeros(AHEAD, np.int64),
     )
 
 
-def _unit_vector(whole: Table, _known: Table, _places: list[Lanes]) -> tuple[list[Lanes], Lanes | None]:
+def _read_packets(words: Table) -> tuple[list[Lanes], list[Lanes]]:
+    """(lattice coordinates, direction codes), int32; of shadow rays the codes mean nothing."""
+    front, back = words.read(FRONT), words.read(BACK)
+    z = front >> 48 & 0xFFFF | (back & 0xFF) << 16
+    numbers = (front & 0xFFFFFF, front >> 24 & 0xFFFFFF, z, back >> 8 & 0xFFFFFF, back >> 32 & 0xFFFFFF)
+    x, y, z, a, b = (number.lower_half() for number in numbers)
+    return [x, y, z], [a, b]
+
+
+def _unit_vector(codes: list[Lanes], _known: Table, _places: list[Lanes]) -> tuple[list[Lanes], Lanes | None]:
     """As `packets.unit_vector`; no distance."""
-    u, v = ((whole.read(CODES + k) - HALF_DIRECTION).as_float() * (1.0 / HALF_DIRECTION) for k in range(2))
+    u, v = ((code - HALF_DIRECTION).as_float() * (1.0 / HALF_DIRECTION) for code in codes)
     z = 1.0 - abs(u) - abs(v)
     x = (z < 0.0).choose((1.0 - abs(v)).signed_as(u), u)
     y = (z < 0.0).choose((1.0 - abs(u)).signed_as(v), v)
@@ -75,7 +101,7 @@ def _unit_vector(whole: Table, _known: Table, _places: list[Lanes]) -> tuple[lis
     return [x * scale, y * scale, z * scale], None
 
 
-def _light_direction(_whole: Table, known: Table, places: list[Lanes]) -> tuple[list[Lanes], Lanes | None]:
+def _light_direction(_codes: list[Lanes], known: Table, places: list[Lanes]) -> tuple[list[Lanes], Lanes | None]:
     """As `shading.light_direction`, of lights whose places and kinds stand where direction and distance will."""
     lights = known.read_three(DIRECTION)
     x, y, z = (light - place for light, place in zip(lights, places, strict=True))
@@ -112,19 +138,39 @@ def behind(origin: list[Lanes], corners: list[Lanes]) -> Lanes:
     return low | high
 
 
-def _astray(whole: Table, corners: list[Lanes]) -> Lanes:
+def _astray(origin: list[Lanes], port: Lanes, corners: list[Lanes]) -> Lanes:
     """Which have to go to the cell of their origin first: those behind a port, unless they came by one of these ports
     (`walk.is_walking`)."""
-    ports = behind(whole.read_three(ORIGIN), corners)
-    came_by_one = ports >> whole.read(PORT) & 1
+    ports = behind(origin, corners)
+    came_by_one = ports >> port & 1
     return (ports >= 1).lacks(came_by_one >= 1)
+
+
+def _for_boxes(inverses: list[Lanes]) -> tuple[list[Lanes], list[Lanes]]:
+    """As `traverse.for_boxes`: (inverse directions in binary32, the words at which near planes begin)."""
+    narrow = [within(inverse, -FAREST, FAREST).as_single() for inverse in inverses]
+    nears = [
+        (inverse >= 0.0).choose(axis * WIDE, bits.every((3 + axis) * WIDE))
+        for axis, (inverse, bits) in enumerate(zip(inverses, (one.bits() for one in inverses), strict=True))
+    ]
+    return narrow, nears
 
 
 def _set_up(direction_of: Callable[..., tuple[list[Lanes], Lanes | None]]) -> Any:
     """The intrinsic that sets up eight rays whose directions are found like this."""
 
     def intrinsic_function(
-        typingctx: Any, whole: Any, known: Any, ways: Any, at: Any, step: Any, bounds: Any, corners: Any
+        typingctx: Any,
+        words: Any,
+        ports: Any,
+        known: Any,
+        singles: Any,
+        nears: Any,
+        ways: Any,
+        at: Any,
+        step: Any,
+        bounds: Any,
+        corners: Any,
     ) -> Any:
         """Set up the rays of columns at..at+7 of the tables of `Ahead`.
 
@@ -133,39 +179,47 @@ def _set_up(direction_of: Callable[..., tuple[list[Lanes], Lanes | None]]) -> An
         """
 
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            rows, numbers, out = (Table(context, builder, signature.args[k], args[k], args[3], AHEAD) for k in range(3))
-            _write_all(direction_of, rows, numbers, out, *(splats(builder, packed) for packed in args[4:]))
+            tables = [Table(context, builder, signature.args[k], args[k], args[6], AHEAD) for k in range(6)]
+            _write_all(direction_of, tables, *(splats(builder, packed) for packed in args[7:]))
             return context.get_dummy_value()
 
         single, number = types.float64, types.int32
         tuples = types.UniTuple(single, 3), types.UniTuple(single, 6), types.UniTuple(number, 6)
-        return types.void(whole, known, ways, types.int64, *tuples), codegen
+        return types.void(words, ports, known, singles, nears, ways, types.int64, *tuples), codegen
 
     return intrinsic(intrinsic_function)
 
 
 def _write_all(
     direction_of: Callable[..., tuple[list[Lanes], Lanes | None]],
-    whole: Table,
-    known: Table,
-    ways: Table,
+    tables: list[Table],
     step: list[Lanes],
     bounds: list[Lanes],
     corners: list[Lanes],
 ) -> None:
-    places = [(at - LATTICE // 2).as_float() * step[axis] for axis, at in enumerate(whole.read_three(ORIGIN))]
-    directions, distance = direction_of(whole, known, places)
+    words, ports, known, singles, nears, ways = tables
+    origin, codes = _read_packets(words)
+    places = [(at - LATTICE // 2).as_float() * step[axis] for axis, at in enumerate(origin)]
+    directions, distance = direction_of(codes, known, places)
     inverses = [inverse_eight(d) for d in directions]
     t_in, t_out, way = _passage(places, inverses, bounds)
+    narrow, begins = _for_boxes(inverses)
     for axis in range(3):
         known.write(PLACE + axis, places[axis])
         known.write(DIRECTION + axis, directions[axis])
         known.write(INVERSE + axis, inverses[axis])
+        singles.write(BOX_PLACE + axis, places[axis].as_single())
+        singles.write(BOX_INVERSE + axis, narrow[axis])
+        nears.write(axis, begins[axis])
     known.write(T_IN, t_in)
     known.write(T_OUT, t_out)
+    singles.write(BOX_LOW, most(t_in, t_in.every(T_MIN)).as_single())
+    upper = t_out
     if distance is not None:
         known.write(DISTANCE, distance)
-    ways.write(0, _astray(whole, corners).choose(ASTRAY, way))
+        upper = least(t_out, distance)
+    singles.write(BOX_HIGH, least(upper, upper.every(FAREST)).as_single())
+    ways.write(0, _astray(origin, ports.read(0).as_int(), corners).choose(ASTRAY, way))
 
 
 # kernels call them without the first argument
@@ -174,30 +228,20 @@ _shadows: Any = _set_up(_light_direction)
 
 
 @part
-def _read_origins(packets, ports, first, last, whole):
-    for k in range(first, last):
-        x, y, z = read_origin(packets, k * SIZE)
-        j = k - first
-        whole[ORIGIN * AHEAD + j], whole[(ORIGIN + 1) * AHEAD + j] = np.int32(x), np.int32(y)
-        whole[(ORIGIN + 2) * AHEAD + j], whole[PORT * AHEAD + j] = np.int32(z), np.int32(ports[k])
-
-
-@part
 def read_ahead(frame, packets, ports, first, last, shadows, ahead):
     """Read what packets first..last-1, at most AHEAD and all of shadow rays or none, say of their rays."""
-    whole, known = ahead.whole, ahead.known
-    _read_origins(packets, ports, first, last, whole)
+    words, known = ahead.words, ahead.known
+    copy_bytes(ports, first, ahead.ports, 0, last - first)
+    for k in range(first, last):
+        at, j = k * SIZE, k - first
+        words[FRONT * AHEAD + j] = read_u64(packets, at + FRONT_BYTE)
+        words[BACK * AHEAD + j] = read_u64(packets, at + BACK_BYTE)
     if shadows:
-        for k in range(first, last):
-            light, j = read_u16(packets, k * SIZE + 14), k - first
+        for j in range(last - first):
+            light = (words[BACK * AHEAD + j] >> 8) & 0xFFFF
             known[DISTANCE * AHEAD + j] = frame.lights[light, LIGHT_KIND]
             for axis in range(3):
                 known[(DIRECTION + axis) * AHEAD + j] = frame.lights[light, LIGHT_PLACE + axis]
-    else:
-        for k in range(first, last):
-            codes, j = read_u64(packets, k * SIZE + 14), k - first
-            whole[CODES * AHEAD + j] = np.int32(codes & 0xFFFFFF)
-            whole[(CODES + 1) * AHEAD + j] = np.int32((codes >> 24) & 0xFFFFFF)
 
 
 @part
@@ -216,13 +260,14 @@ def corners(cell):
 @part
 def set_up_ahead(cell, space, many, shadows, ahead):
     """Set up the rays that were read."""
+    words, ports, known, singles, nears, ways = ahead[:6]
     bounds = (*cell.low_at, *cell.high_at)
     if shadows:
         for j in range(0, many, EIGHT):
-            _shadows(ahead.whole, ahead.known, ahead.ways, j, space.step, bounds, corners(cell))
+            _shadows(words, ports, known, singles, nears, ways, j, space.step, bounds, corners(cell))
     else:
         for j in range(0, many, EIGHT):
-            _rays(ahead.whole, ahead.known, ahead.ways, j, space.step, bounds, corners(cell))
+            _rays(words, ports, known, singles, nears, ways, j, space.step, bounds, corners(cell))
 
 
 @part
@@ -241,21 +286,32 @@ def column(ahead, j):
 
 
 @part
-def open_roots(surfaces, many, shadows, ahead):
-    """Find the boxes of the hierarchy's root that the rays meet: without a branch, as far as it goes."""
-    if len(surfaces.floats) == 0:
-        for j in range(many):
-            ahead.met[j] = 0
-        return
-    for j in range(many):
-        _, o, _, inv, t_in, t_out, distance = column(ahead, j)
-        upper = min(t_out, distance) if shadows else t_out
-        ahead.met[j] = open_root(surfaces, ahead.roots, j * WIDE, o, inv, max(t_in, T_MIN), upper)
+def boxes_of(ahead, j):
+    """(ray, near planes) of a ray that was set up, as `traverse.for_boxes` gives them."""
+    singles, nears = ahead.singles, ahead.nears
+    ray = (
+        singles[BOX_PLACE * AHEAD + j],
+        singles[(BOX_PLACE + 1) * AHEAD + j],
+        singles[(BOX_PLACE + 2) * AHEAD + j],
+        singles[BOX_INVERSE * AHEAD + j],
+        singles[(BOX_INVERSE + 1) * AHEAD + j],
+        singles[(BOX_INVERSE + 2) * AHEAD + j],
+    )
+    return ray, (nears[j], nears[AHEAD + j], nears[2 * AHEAD + j])
+
+
+@part
+def open_root_of(surfaces, ahead, j):
+    """Find the boxes of the hierarchy's root that a ray meets; how many. There must be a root."""
+    ray, near = boxes_of(ahead, j)
+    low, high = ahead.singles[BOX_LOW * AHEAD + j], ahead.singles[BOX_HIGH * AHEAD + j]
+    met = push_boxes(surfaces.floats, np.int64(0), near, ray, low, high, ahead.roots, j * WIDE)
+    ahead.met[j] = met
+    return met
 
 
 @part
 def take_root(ahead, j, stack):
     """Put the keys of a ray on the stack of a walk; how many."""
-    for k in range(WIDE):
-        stack[k] = ahead.roots[j * WIDE + k]
+    copy_keys(ahead.roots, j * WIDE, stack, 0)
     return ahead.met[j]

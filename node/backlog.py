@@ -12,7 +12,17 @@ from numpy.typing import NDArray
 
 from .compiled import lean, part
 from .outputs import HEAD
-from .packets import PIXEL, RETURN, SHADOW, SIZE, Limits, copy_packet, fault
+from .packets import (
+    SHADOW,
+    SIZE,
+    Limits,
+    copy_packet,
+    fault,
+    is_sound_ray,
+    is_sound_return,
+    is_sound_shadow,
+    read_kind,
+)
 
 TRAVELLERS, SHADOWS, RAYS = 0, 1, 2
 CLASSES = 3
@@ -35,30 +45,59 @@ class Stacks(NamedTuple):
 
 
 @part
+def _class(kind):
+    """The class of a kind of packet; of what is no kind any."""
+    return TRAVELLERS if kind > SHADOW else (SHADOWS if kind == SHADOW else RAYS)
+
+
+@part
+def _take_run(message, first, count, limits, kind, packets, held):
+    """Copy packets of one class from packet `first` on to a stack, until one is of another class or has a fault; the
+    number of that one. A loop for each class, so that what is checked is not chosen for each packet."""
+    at, to, k = HEAD + first * SIZE, held * SIZE, first
+    if kind == SHADOWS:
+        while k < count and is_sound_shadow(message, at, limits):
+            copy_packet(message, at, packets, to)
+            at, to, k = at + SIZE, to + SIZE, k + 1
+    elif kind == RAYS:
+        while k < count and is_sound_ray(message, at, limits):
+            copy_packet(message, at, packets, to)
+            at, to, k = at + SIZE, to + SIZE, k + 1
+    else:
+        while k < count and is_sound_return(message, at, limits):
+            copy_packet(message, at, packets, to)
+            at, to, k = at + SIZE, to + SIZE, k + 1
+    return k
+
+
+@part
 def sort(message, count, port, bounds, stacks, held):
     """Check `count` packets of a message and put each on the stack of its class; (first bad one or -1, its fault).
 
-    bounds: int64, the fields of Limits; held: int64, packets on each stack, updated.
+    Packets of a class come in runs, as the neighbour's steps put them out.
+    bounds: int64, the fields of Limits; held: int64, packets on each stack, updated. Each stack has room for all.
     """
     limits = Limits(bounds[0], bounds[1], bounds[2], bounds[3], (bounds[4], bounds[5], bounds[6]))
-    for k in range(count):
-        at = HEAD + k * SIZE
-        bad = fault(message, at, limits)
-        if bad != 0:
-            return k, bad
-        kind = np.int64(message[at]) & 7
-        if kind == SHADOW:
-            copy_packet(message, at, stacks.shadows, held[SHADOWS] * SIZE)
-            stacks.shadow_ports[held[SHADOWS]] = port
-            held[SHADOWS] += 1
-        elif kind == RETURN or kind == PIXEL:
-            copy_packet(message, at, stacks.travellers, held[TRAVELLERS] * SIZE)
-            stacks.traveller_ports[held[TRAVELLERS]] = port
-            held[TRAVELLERS] += 1
-        else:
-            copy_packet(message, at, stacks.rays, held[RAYS] * SIZE)
-            stacks.ray_ports[held[RAYS]] = port
-            held[RAYS] += 1
+    first = 0
+    while first < count:
+        at = HEAD + first * SIZE
+        kind = _class(read_kind(message, at))
+        packets, ports = stacks.travellers, stacks.traveller_ports
+        if kind == SHADOWS:
+            packets, ports = stacks.shadows, stacks.shadow_ports
+        elif kind == RAYS:
+            packets, ports = stacks.rays, stacks.ray_ports
+        end = _take_run(message, first, count, limits, kind, packets, held[kind])
+        if end == first:  # a pixel, or it has a fault
+            bad = fault(message, at, limits)
+            if bad != 0:
+                return first, bad
+            copy_packet(message, at, packets, held[kind] * SIZE)
+            end += 1
+        for k in range(held[kind], held[kind] + end - first):
+            ports[k] = port
+        held[kind] += end - first
+        first = end
     held[MOST] = max(held[MOST], held[TRAVELLERS] + held[SHADOWS] + held[RAYS])
     return -1, 0
 

@@ -19,7 +19,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from .ahead import behind, corners, inverse_eight
-from .camera import TRIES, image_point
+from .camera import R2_X, R2_Y, TRIES
 from .compiled import part
 from .lattice import FINE, HALF, LONGEST_STEP
 from .newborn import nearest_eight, next_on_lattice, put_made, rest_of_ray, words_of
@@ -27,13 +27,13 @@ from .packets import PRIMARY, pack_weight
 from .vectors import EIGHT, Lanes, Table, least, most, splat, splats
 
 LOT = 128  # samples that are noted before they are worked out; a multiple of EIGHT
-# rows of `facts`: the point in the image, an intensity
+# rows of `facts`: of a primary the point in the image; of a return its intensity
 X, Y, INTENSITY, FACTS = 0, 1, 2, 5
 # rows of `words`: the first five bytes of a packet, the place in the store of its pixel; then of a primary the packet's
 # words (`newborn.words_of`), and the ports behind which it enters, or a number below 0; of a return the point where its
-# sample's ray enters
+# sample's ray enters, and column and row of its pixel
 HEAD, PLACE = 0, 1
-WORD, BEHIND, POINT, WORDS = 2, 6, 2, 7
+WORD, BEHIND, POINT, PIXEL, WORDS = 2, 6, 2, 5, 7
 WHITE = int(pack_weight(1.0, 1.0, 1.0))
 NOWHERE = -1
 CAMERA = 18  # numbers of a camera
@@ -61,7 +61,7 @@ def make_seen() -> Seen:
 @part
 def note_primary(seen, x, y, sample, place):
     """Note a sample whose ray may be born; `place`: of its pixel in the store."""
-    j = seen.held[0]
+    j = seen.held[0] & (LOT - 1)
     seen.facts[X * LOT + j], seen.facts[Y * LOT + j] = x, y
     seen.words[HEAD * LOT + j], seen.words[PLACE * LOT + j] = PRIMARY | (1 << 3) | (sample << 8), place
     seen.held[0] = j + 1
@@ -92,9 +92,7 @@ def put_primary(seen, j, row, at):
 @part
 def note_return(seen, frame, sample, depth, intensity):
     """Note a return packet to be born; whether there is room for no more."""
-    j = seen.held[0]
-    x, y = image_point(sample, frame.width, frame.samples)
-    seen.facts[X * LOT + j], seen.facts[Y * LOT + j] = x, y
+    j = seen.held[0] & (LOT - 1)
     for k in range(3):
         seen.facts[(INTENSITY + k) * LOT + j] = intensity[k]
     seen.words[HEAD * LOT + j] = (depth << 32) | sample
@@ -104,9 +102,11 @@ def note_return(seen, frame, sample, depth, intensity):
 
 @part
 def work_out_returns(space, frame, seen):
-    """Find where the rays of all samples that are noted enter the world box."""
+    """Find the pixels of all samples that are noted, and where their rays enter the world box."""
     for j in range(0, seen.held[0], EIGHT):
-        _entries(seen.facts, seen.words, j, frame.camera, space.step)
+        _entries(
+            seen.facts, seen.words, j, frame.camera, space.step, (np.float64(frame.width), np.float64(frame.samples))
+        )
 
 
 @part
@@ -114,6 +114,12 @@ def entered_at(seen, j):
     """Lattice point at which the ray of a sample that was worked out enters the world box."""
     words = seen.words
     return words[POINT * LOT + j], words[(POINT + 1) * LOT + j], words[(POINT + 2) * LOT + j]
+
+
+@part
+def pixel_of(seen, j):
+    """Column and row of the pixel of a sample that was worked out."""
+    return seen.words[PIXEL * LOT + j], seen.words[(PIXEL + 1) * LOT + j]
 
 
 @part
@@ -129,6 +135,29 @@ def noted_return(seen, j):
 
 
 # --- eight at once -------------------------------------------------------------------------------------
+
+
+def _hash(x: Lanes) -> Lanes:
+    """As `camera.hash32`, of int64 below 2^32."""
+    x = ((x ^ x >> 16) * 0x85EBCA6B) & 0xFFFFFFFF
+    x = ((x ^ x >> 13) * 0xC2B2AE35) & 0xFFFFFFFF
+    return x ^ x >> 16
+
+
+def _image_point(sample: Lanes, width: Lanes, samples: Lanes) -> tuple[list[Lanes], list[Lanes]]:
+    """As `camera.image_point`: (column and row of the pixel, the point). Wholes in binary64: quotients of numbers below
+    2^32 lie farther below the next whole than rounding can raise them, so those of divisions are theirs."""
+    pixel = math.floor(sample.as_float() / samples)
+    row = math.floor(pixel / width)
+    column = pixel - row * width
+    number = sample.as_float() - pixel * samples + 1.0
+    mixed = _hash(pixel.as_number())
+    alone = samples.equals(1.0)
+    point = []
+    for middle, bits, ratio in ((column, mixed & 0xFFFF, R2_X), (row, mixed >> 16, R2_Y)):
+        at = bits.as_float() * (1.0 / 65536.0) + number * ratio
+        point.append(alone.choose(middle, middle + (at - math.floor(at)) - 0.5))
+    return [column, row], point
 
 
 def _eye_ray(camera: list[Lanes], x: Lanes, y: Lanes) -> tuple[list[Lanes], list[Lanes]]:
@@ -202,18 +231,25 @@ def _make_primary_words(typingctx: Any, facts: Any, words: Any, at: Any, camera:
     return types.void(facts, words, types.int64, camera, *tuples), codegen
 
 
-def _make_entries(typingctx: Any, facts: Any, words: Any, at: Any, camera: Any, step: Any) -> Any:
-    """Find where the rays of eight samples enter the world box, columns at..at+7; camera  float64 (6, 3)."""
+def _make_entries(typingctx: Any, facts: Any, words: Any, at: Any, camera: Any, step: Any, sizes: Any) -> Any:
+    """Find the pixels of eight samples and where their rays enter the world box, columns at..at+7.
+
+    camera  float64 (6, 3); sizes  two float64, width of the picture and samples a pixel
+    """
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        known, made, numbers, steps = _tables(context, builder, signature, args)
-        origin, direction = _eye_ray(numbers, known.read(X), known.read(Y))
+        _, made, numbers, steps = _tables(context, builder, signature, args)
+        pixel, image = _image_point(made.read(HEAD) & 0xFFFFFFFF, *splats(builder, args[5]))
+        origin, direction = _eye_ray(numbers, *image)
         _, point, _ = _entry(origin, direction, steps)
         for axis in range(3):
             made.write(POINT + axis, point[axis].as_long())
+        for k in range(2):
+            made.write(PIXEL + k, pixel[k].as_number())
         return context.get_dummy_value()
 
-    return types.void(facts, words, types.int64, camera, types.UniTuple(types.float64, 3)), codegen
+    tuples = types.UniTuple(types.float64, 3), types.UniTuple(types.float64, 2)
+    return types.void(facts, words, types.int64, camera, *tuples), codegen
 
 
 # kernels call them without the first argument

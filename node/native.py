@@ -200,23 +200,29 @@ def _put_words(typingctx: Any, target: Any, at: Any, first: Any, second: Any, th
     return types.void(target, types.int64, types.int64, types.int64, types.int64), codegen
 
 
-def _get_word(typingctx: Any, source: Any, at: Any) -> Any:
-    """The int64 of eight bytes of a flat uint8 array from `at` on, the least first. Nothing is checked.
+def _load(bits: int) -> Any:
+    """The intrinsic that reads so many bits, the least byte first, as int64.
 
-    Eight loads of a byte do not become one, since numba looks at each place whether it counts from the end.
+    numba looks at every index whether it counts from the end, so bytes that are named one by one are loaded one by one.
     """
 
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-        place = builder.bitcast(builder.gep(data, [arguments[1]]), _LONG.as_pointer())
-        return _least_first(builder, builder.load(place, align=1))
+    def intrinsic_function(typingctx: Any, array: Any, at: Any) -> Any:
+        """The number that begins at place `at` of a flat uint8 array. Nothing is checked."""
 
-    return types.int64(source, types.int64), codegen
+        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+            place = builder.bitcast(builder.gep(data, [arguments[1]]), ir.IntType(bits).as_pointer())
+            value = _least_first(builder, builder.load(place, align=1))
+            return value if bits == 64 else builder.zext(value, _LONG)
+
+        return types.int64(array, types.int64), codegen
+
+    return intrinsic(intrinsic_function)
 
 
 def _least_first(builder: Any, value: Any) -> Any:
-    """A 64-bit number in the order of bytes of this computer that puts the least first."""
-    return value if sys.byteorder == "little" else builder.bswap(value)
+    """A number in the order of bytes of this computer that puts the least first."""
+    return value if sys.byteorder == "little" or value.type.width == 8 else builder.bswap(value)
 
 
 # kernels call them without the first argument
@@ -226,4 +232,7 @@ bytes_at: Any = intrinsic(_bytes_at)
 address: Any = intrinsic(_address)
 copy_bytes: Any = intrinsic(_copy_bytes)
 put_words: Any = intrinsic(_put_words)
-get_word: Any = intrinsic(_get_word)
+load_8: Any = _load(8)
+load_16: Any = _load(16)
+load_32: Any = _load(32)
+load_64: Any = _load(64)

@@ -81,7 +81,7 @@ def origin_beside(step, p, g, d):
 @part
 def note(newborn, brood, head, light, p, g, d, weight):
     """Note a birth; whether there is room for no more."""
-    j = newborn.held[brood]
+    j = newborn.held[brood] & (BROOD - 1)
     fact, word = brood * FACTS * BROOD + j, brood * WORDS * BROOD + j
     for axis in range(3):
         newborn.facts[fact + (POINT + axis) * BROOD] = p[axis]

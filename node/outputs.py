@@ -14,15 +14,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .ahead import Ahead, make_ahead
+from .ahead import AHEAD, Ahead, make_ahead
 from .camera import home
 from .compiled import part
-from .eyes import Seen, entered_at, make_seen, note_return, noted_return, work_out_returns
+from .eyes import Seen, entered_at, make_seen, note_return, noted_return, pixel_of, work_out_returns
 from .newborn import RAY_BROOD, SHADOW_BROOD, Newborn, make_newborn, note, put, starts_behind, work_out
 from .packets import RETURN, SIZE, copy_packet, put_return
 from .pixels import fixed_point, slot
 from .tables import BORN, DIED, HOMES, MISADDRESSED, SENT
-from .walk import NO_PORT, OUTPUTS, SELF, SELF_RAYS, towards_cell
+from .walk import HOST, NO_PORT, OUTPUTS, SELF, SELF_RAYS, towards_start
 
 HEAD = 20  # bytes kept free at the head of every output for the link's header
 
@@ -63,6 +63,7 @@ def clear(outputs: Outputs) -> None:
 @part
 def _claim(outputs, output, counts):
     """Bytes of the next free packet of an output, and where it begins in them."""
+    output = output & 15
     at = HEAD + outputs.held[output] * SIZE
     outputs.held[output] += 1
     counts[SENT + output] += 1
@@ -73,6 +74,21 @@ def _claim(outputs, output, counts):
 def hand_on(packets, at, output, outputs, counts):
     row, to = _claim(outputs, output, counts)
     copy_packet(packets, at, row, to)
+
+
+@part
+def hand_on_all(packets, first, numbers, begin, many, ways, outputs, counts):
+    """Hand on the packets first + j, each by the port ways[j], for the numbers j at places begin..begin+many-1."""
+    held, data = outputs.held, outputs.data
+    for port in range(HOST + 1):
+        counts[SENT + port] -= held[port]
+    for k in range(begin, begin + many):
+        j = numbers[k] & (AHEAD - 1)
+        port = ways[j] & 7
+        copy_packet(packets, (first + j) * SIZE, data[port], HEAD + held[port] * SIZE)
+        held[port] += 1
+    for port in range(HOST + 1):
+        counts[SENT + port] += held[port]
 
 
 @part
@@ -94,22 +110,20 @@ def _write_returns(cell, space, frame, pixels, outputs, counts):
     work_out_returns(space, frame, seen)
     for j in range(seen.held[0]):
         sample, depth, intensity = noted_return(seen, j)
-        there = home(space, entered_at(seen, j))
-        port = towards_cell(cell.index, there)
+        point = entered_at(seen, j)
+        port = towards_start(cell, point)  # that to the sample's home, which holds this point
         if port == NO_PORT:
-            keep(frame, pixels, sample, intensity, counts)
+            keep(pixels, pixel_of(seen, j), intensity, counts)
         else:
             row, at = _claim(outputs, port, counts)
-            put_return(row, at, depth, sample, intensity, there)
+            put_return(row, at, depth, sample, intensity, home(space, point))
     seen.held[0] = 0
 
 
 @part
-def keep(frame, pixels, sample, intensity, counts):
-    """Add an intensity to its pixel. The return packet dies."""
-    pixel = sample // frame.samples
-    j = pixel // frame.width
-    here = slot(pixels, pixel - j * frame.width, j)
+def keep(pixels, pixel, intensity, counts):
+    """Add an intensity to its pixel (column, row). The return packet dies."""
+    here = slot(pixels, pixel[0], pixel[1])
     counts[DIED + RETURN] += 1
     if here < 0:
         counts[MISADDRESSED] += 1
@@ -150,6 +164,12 @@ def write_all_noted(cell, space, frame, pixels, outputs, counts):
     _write_newborn(cell, space, SHADOW_BROOD, outputs, counts)
     _write_newborn(cell, space, RAY_BROOD, outputs, counts)
     _write_returns(cell, space, frame, pixels, outputs, counts)
+
+
+@part
+def noted(outputs):
+    """Packets that are noted: they may all go to one output."""
+    return outputs.newborn.held[SHADOW_BROOD] + outputs.newborn.held[RAY_BROOD] + outputs.seen.held[0]
 
 
 @part

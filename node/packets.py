@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 from .compiled import kernel, lean, part
 from .errors import PacketError
-from .native import copy_bytes, get_word, put_words
+from .native import copy_bytes, load_8, load_16, load_32, load_64, put_words
 
 SIZE = 25
 
@@ -91,38 +91,56 @@ class Limits(NamedTuple):
 @part
 def read_u16(buffer, at):
     """The two bytes at `at`, as int64."""
-    return np.int64(buffer[at]) | (np.int64(buffer[at + 1]) << 8)
+    return load_16(buffer, at)
 
 
 @part
 def read_u24(buffer, at):
     """The three bytes at `at`, as int64."""
-    return np.int64(buffer[at]) | (np.int64(buffer[at + 1]) << 8) | (np.int64(buffer[at + 2]) << 16)
+    return load_16(buffer, at) | (load_8(buffer, at + 2) << 16)
 
 
 @part
 def read_u32(buffer, at):
     """The four bytes at `at`, as int64."""
-    return read_u16(buffer, at) | (read_u16(buffer, at + 2) << 16)
+    return load_32(buffer, at)
 
 
 @part
 def read_u48(buffer, at):
     """The six bytes at `at`, as int64."""
-    return read_u24(buffer, at) | (read_u24(buffer, at + 3) << 24)
+    return load_32(buffer, at) | (load_16(buffer, at + 4) << 32)
 
 
 @part
 def read_u64(buffer, at):
     """The eight bytes at `at`, as int64."""
-    return read_u32(buffer, at) | (read_u32(buffer, at + 4) << 32)
+    return load_64(buffer, at)
 
 
 @part
 def read_origin(buffer, at):
     """The three lattice coordinates of the ray or shadow ray whose packet begins at `at`."""
     low = read_u64(buffer, at + 5)
-    return low & 0xFFFFFF, (low >> 24) & 0xFFFFFF, ((low >> 48) & 0xFFFF) | (np.int64(buffer[at + 13]) << 16)
+    return low & 0xFFFFFF, (low >> 24) & 0xFFFFFF, ((low >> 48) & 0xFFFF) | (load_8(buffer, at + 13) << 16)
+
+
+@part
+def read_kind(buffer, at):
+    """The kind of the packet that begins at `at`."""
+    return load_8(buffer, at) & 7
+
+
+@part
+def read_depth(buffer, at):
+    """The depth of the packet that begins at `at`."""
+    return load_8(buffer, at) >> 3
+
+
+@part
+def read_weight(buffer, at):
+    """Three float64 weights of the ray whose packet begins at `at`."""
+    return unpack_weight(read_u64(buffer, at + 17) >> 24)
 
 
 @part
@@ -231,14 +249,21 @@ def put_shadow(buffer, at, depth, sample, origin, light, weights):
 @part
 def put_return(buffer, at, depth, sample, intensity, home):
     """Write a return packet. `intensity`: three binary32, `home`: cell of the sample's home."""
-    buffer[at] = np.uint8(RETURN | (depth << 3))
-    write(buffer, at + 1, sample, 4)
-    for k in range(3):
-        # a product of bright things may be infinite
-        finite = np.float32(min(np.float64(intensity[k]), LARGEST_BINARY32))
-        write(buffer, at + 5 + 4 * k, np.int64(finite.view(np.uint32)), 4)
-        write(buffer, at + 17 + 2 * k, home[k], 2)
-    write(buffer, at + 23, np.int64(0), 2)
+    red, green, blue = _finite_bits(intensity[0]), _finite_bits(intensity[1]), _finite_bits(intensity[2])
+    put_words(
+        buffer,
+        at,
+        RETURN | (depth << 3) | (sample << 8) | ((red & 0xFFFFFF) << 40),
+        (red >> 24) | (green << 8) | ((blue & 0xFFFFFF) << 40),
+        (blue >> 24) | (home[0] << 8) | (home[1] << 24) | (home[2] << 40),
+    )
+    buffer[at + 24] = np.uint8(0)
+
+
+@part
+def _finite_bits(intensity):
+    """The bits of a binary32; a product of bright things may be infinite."""
+    return np.int64(np.float32(min(np.float64(intensity), LARGEST_BINARY32)).view(np.uint32))
 
 
 @part
@@ -254,7 +279,7 @@ def put_pixel(buffer, at, pixel, sums, samples):
 @part
 def get_pixel(buffer, at):
     """(pixel, red, green, blue, samples) of a pixel packet."""
-    first, second, third = get_word(buffer, at), get_word(buffer, at + 8), get_word(buffer, at + 16)
+    first, second, third = load_64(buffer, at), load_64(buffer, at + 8), load_64(buffer, at + 16)
     r = ((first >> 40) & 0xFFFFFF) | ((second & 0xFFFFFF) << 24)
     g = ((second >> 24) & 0xFFFFFFFFFF) | ((third & 0xFF) << 40)
     samples = ((third >> 56) & 0xFF) | (np.int64(buffer[at + 24]) << 8)
@@ -308,21 +333,49 @@ def _fault_of_return(buffer, at, limits):
 
 
 @part
+def _is_sound_start(head, limits):
+    """Whether depth and sample are those of a ray or shadow ray; `head`: the first bytes of its packet."""
+    depth, number = (head >> 3) & 31, (head >> 8) & 0xFFFFFFFF
+    return (depth >= 1) & (depth <= limits.depth) & (number < limits.samples)
+
+
+@part
+def is_sound_shadow(buffer, at, limits):
+    """Whether the packet at `at` is one of a shadow ray without a fault. Without a branch, as the next two."""
+    head, tail = read_u64(buffer, at), read_u64(buffer, at + 14)
+    weights = max((tail >> 16) & 0xFFFFFF, max((tail >> 40) & 0xFFFFFF, read_u64(buffer, at + 17) >> 40 & 0xFFFFFF))
+    sound = _is_sound_start(head, limits) & ((head & 7) == SHADOW)
+    return sound & ((tail & 0xFFFF) < limits.lights) & (weights < 0xFF0000)
+
+
+@part
+def is_sound_ray(buffer, at, limits):
+    """Whether the packet at `at` is one of a primary, reflected or refracted ray without a fault."""
+    head, tail = read_u64(buffer, at), read_u64(buffer, at + 14)
+    sound = _is_sound_start(head, limits) & ((head & 7) >= PRIMARY) & ((head & 7) <= REFRACTED)
+    return sound & (max(tail & 0xFFFFFF, (tail >> 24) & 0xFFFFFF) <= 2 * HALF_DIRECTION)
+
+
+@part
+def is_sound_return(buffer, at, limits):
+    """Whether the packet at `at` is a return without a fault."""
+    head, middle, tail = read_u64(buffer, at), read_u64(buffer, at + 5), read_u64(buffer, at + 17)
+    largest = max(middle & 0xFFFFFFFF, max((middle >> 32) & 0xFFFFFFFF, read_u32(buffer, at + 13)))
+    x, y, z = tail & 0xFFFF, (tail >> 16) & 0xFFFF, (tail >> 32) & 0xFFFF
+    inside = (x < limits.shape[0]) & (y < limits.shape[1]) & (z < limits.shape[2]) & ((tail >> 48) & 0xFFFF == 0)
+    return _is_sound_start(head, limits) & ((head & 7) == RETURN) & (largest < 0x7F800000) & inside
+
+
+@part
 def fault(buffer, at, limits):
     """0 if the 25 bytes at `at` are a packet of this frame, else a key of FAULTS."""
-    head = read_u64(buffer, at)
-    kind, depth, number = head & 7, (head >> 3) & 31, (head >> 8) & 0xFFFFFFFF
     # rays and shadow rays, nearly all that comes, by one branch
-    sound = (depth >= 1) & (depth <= limits.depth) & (number < limits.samples)
+    kind = read_kind(buffer, at)
     if kind == SHADOW:
-        tail = read_u64(buffer, at + 14)
-        weights = max((tail >> 16) & 0xFFFFFF, max((tail >> 40) & 0xFFFFFF, read_u24(buffer, at + 22)))
-        if sound & ((tail & 0xFFFF) < limits.lights) & (weights < 0xFF0000):
+        if is_sound_shadow(buffer, at, limits):
             return 0
-    elif kind >= PRIMARY and kind <= REFRACTED:
-        tail = read_u64(buffer, at + 14)
-        if sound & (max(tail & 0xFFFFFF, (tail >> 24) & 0xFFFFFF) <= 2 * HALF_DIRECTION):
-            return 0
+    elif is_sound_ray(buffer, at, limits):
+        return 0
     return _named_fault(buffer, at, limits)
 
 
@@ -374,7 +427,7 @@ def add_pixels(buffer, start, count, sums, samples, most):
     count as `most`.
     """
     for k in range(count):
-        head = get_word(buffer, start + k * SIZE)
+        head = load_64(buffer, start + k * SIZE)
         if (head & 0xFF) != PIXEL or ((head >> 8) & 0xFFFFFFFF) >= len(samples):
             return False
     for k in range(count):

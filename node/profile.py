@@ -54,7 +54,7 @@ def again(cell, space, frame, surfaces, packets, ports, first, last, what, stack
     for k in range(first, last, AHEAD):
         many = min(AHEAD, last - k)
         read_ahead(frame, packets, ports, k, k + many, shadow, ahead)
-        told += ahead.whole[0]
+        told += ahead.words[0]
         if what == DECODE:
             continue
         set_up_ahead(cell, space, many, shadow, ahead)

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from .ahead import AHEAD, ASTRAY, column, open_roots, read_ahead, set_up_ahead, take_root
+from .ahead import AHEAD, ASTRAY, ROOM, boxes_of, column, read_ahead, set_up_ahead, take_root
 from .compiled import lean, part
 from .lattice import T_MIN
 from .newborn import RAY_BROOD, SHADOW_BROOD
-from .outputs import HEAD, bear, fullest, give_back, hand_on, keep, write_all_noted
+from .outputs import HEAD, bear, fullest, give_back, hand_on, hand_on_all, keep, noted, write_all_noted
 from .packets import (
     PIXEL,
     REFLECTED,
@@ -23,15 +23,18 @@ from .packets import (
     SHADOW,
     SIZE,
     get_intensity,
+    read_depth,
+    read_kind,
     read_origin,
     read_u16,
     read_u24,
     read_u32,
+    read_weight,
     unit_vector,
     unpack_shadow_weight,
-    unpack_weight,
 )
 from .shading import light_direction, light_discs, light_intensity, normals, place, refract
+from .sieve import ENDING, PASSING, box_of_all, ends_of_array, sift, unfinished
 from .tables import (
     BOXES,
     DIED,
@@ -44,7 +47,7 @@ from .tables import (
     TRANSMISSION,
     WALKS,
 )
-from .traverse import blocked_below, closest_below, open_root
+from .traverse import blocked_below, closest_below, for_boxes, open_root
 from .walk import (
     HOST,
     NO_PORT,
@@ -57,7 +60,7 @@ from .walk import (
 )
 
 # what is done with a packet, by its kind
-SETTLES, WALKS_ON, SHADOWS_ON = 0, 1, 2
+WALKS_ON, SHADOWS_ON, SETTLES = 0, 1, 2
 
 
 @part
@@ -92,8 +95,8 @@ def _bear_shadows(cell, space, frame, material, depth, sample, p, g, n, mirror, 
 @part
 def _shade(cell, space, frame, surfaces, packets, at, kind, o, d, t, item, u, v, outputs, counts):
     """The incoming ray dies at a hit; what it gives birth to is put on the outputs."""
-    sample, depth = read_u32(packets, at + 1), np.int64(packets[at]) >> 3
-    weight = unpack_weight(read_u32(packets, at + 20) | (np.int64(packets[at + 24]) << 32))
+    sample, depth = read_u32(packets, at + 1), read_depth(packets, at)
+    weight = read_weight(packets, at)
     p = (o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2])
     g, n = normals(surfaces, item, p, u, v)
     material = np.int64(surfaces.materials[item])
@@ -127,8 +130,8 @@ def _shade(cell, space, frame, surfaces, packets, at, kind, o, d, t, item, u, v,
 @part
 def _at_edge(cell, space, frame, pixels, packets, at, kind, d, outputs, counts):
     """A ray that leaves the scene brings home the background, or the light that it is directed towards."""
-    sample, depth = read_u32(packets, at + 1), np.int64(packets[at]) >> 3
-    weight = unpack_weight(read_u32(packets, at + 20) | (np.int64(packets[at + 24]) << 32))
+    sample, depth = read_u32(packets, at + 1), read_depth(packets, at)
+    weight = read_weight(packets, at)
     red, green, blue = edge_colour(frame, d)
     counts[DIED + kind] += 1
     give_back(
@@ -163,9 +166,12 @@ def _set_up(cell, space, frame, packets, at, port, kind):
 
 
 @part
-def _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, met, outputs, counts):
-    """A primary, reflected or refracted ray. `ray`: what `_set_up` gives; met: keys of the root on the stack."""
-    way, o, d, inv, t_in, t_out, _ = ray
+def _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, boxes, met, outputs, counts):
+    """A primary, reflected or refracted ray.
+
+    ray  what `_set_up` gives; boxes  what `for_boxes` does; met  keys of the root on the stack
+    """
+    way, o, d, _, t_in, t_out, _ = ray
     if way == ASTRAY:
         hand_on(packets, at, towards_start(cell, read_origin(packets, at)), outputs, counts)
         return
@@ -173,7 +179,7 @@ def _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, met,
     if met == 0:
         counts[BOXES] += len(surfaces.floats) > 0
     else:
-        t, item, u, v = closest_below(surfaces, outputs.stack, met, o, d, inv, max(t_in, T_MIN), t_out, counts)
+        t, item, u, v = closest_below(surfaces, outputs.stack, met, o, d, boxes, max(t_in, T_MIN), t_out, counts)
         if item >= 0:
             _shade(cell, space, frame, surfaces, packets, at, kind, o, d, t, item, u, v, outputs, counts)
             return
@@ -184,9 +190,9 @@ def _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, met,
 
 
 @part
-def _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, met, outputs, counts):
+def _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, boxes, met, outputs, counts):
     """A shadow ray: forgotten at the first surface, a return packet where it reaches its light."""
-    way, o, d, inv, t_in, t_out, distance = ray
+    way, o, d, _, t_in, t_out, distance = ray
     if way == ASTRAY:
         hand_on(packets, at, towards_start(cell, read_origin(packets, at)), outputs, counts)
         return
@@ -194,28 +200,33 @@ def _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, met, ou
     upper = min(t_out, distance)
     if met == 0:
         counts[BOXES] += len(surfaces.floats) > 0
-    if met > 0 and blocked_below(surfaces, outputs.stack, met, o, d, inv, max(t_in, T_MIN), upper, counts):
+    if met > 0 and blocked_below(surfaces, outputs.stack, met, o, d, boxes, max(t_in, T_MIN), upper, counts):
         counts[DIED + SHADOW] += 1
     elif distance <= t_out or leaves_array(cell.index, space.shape, way):
         counts[DIED + SHADOW] += 1
         red = unpack_shadow_weight(read_u24(packets, at + 16))
         green = unpack_shadow_weight(read_u24(packets, at + 19))
         blue = unpack_shadow_weight(read_u24(packets, at + 22))
-        sample, depth = read_u32(packets, at + 1), np.int64(packets[at]) >> 3
+        sample, depth = read_u32(packets, at + 1), read_depth(packets, at)
         give_back(cell, space, frame, pixels, sample, depth, red, green, blue, outputs, counts)
     else:
         hand_on(packets, at, way, outputs, counts)
 
 
 @part
-def _step_return(cell, frame, pixels, packets, at, outputs, counts):
-    """A return packet: kept at its home, else handed on towards it."""
-    there = (read_u16(packets, at + 17), read_u16(packets, at + 19), read_u16(packets, at + 21))
-    port = towards_cell(cell.index, there)
-    if port == NO_PORT:
-        keep(frame, pixels, read_u32(packets, at + 1), get_intensity(packets, at), counts)
-    else:
-        hand_on(packets, at, port, outputs, counts)
+def _way_home(cell, packets, at):
+    """The port by which a return packet is handed on to its home; NO_PORT: that is here."""
+    return towards_cell(
+        cell.index, (read_u16(packets, at + 17), read_u16(packets, at + 19), read_u16(packets, at + 21))
+    )
+
+
+@part
+def _keep(frame, pixels, packets, at, counts):
+    """Add the intensity of a return packet to its pixel."""
+    pixel = read_u32(packets, at + 1) // frame.samples
+    row = pixel // frame.width
+    keep(pixels, (pixel - row * frame.width, row), get_intensity(packets, at), counts)
 
 
 @part
@@ -232,9 +243,13 @@ def towards_corner(cell, space):
 
 @part
 def _settle(cell, space, frame, pixels, packets, at, kind, outputs, counts):
-    """A return or pixel packet."""
+    """A return packet, kept at its home, else handed on towards it; or a pixel packet."""
     if kind == RETURN:
-        _step_return(cell, frame, pixels, packets, at, outputs, counts)
+        port = _way_home(cell, packets, at)
+        if port == NO_PORT:
+            _keep(frame, pixels, packets, at, counts)
+        else:
+            hand_on(packets, at, port, outputs, counts)
     else:
         output = towards_corner(cell, space)
         if output == HOST:
@@ -245,7 +260,7 @@ def _settle(cell, space, frame, pixels, packets, at, kind, outputs, counts):
 @part
 def step_one(cell, space, frame, surfaces, pixels, packets, at, port, outputs, counts):
     """The ray step of one packet."""
-    kind = np.int64(packets[at]) & 7
+    kind = read_kind(packets, at)
     if kind == RETURN or kind == PIXEL:
         _settle(cell, space, frame, pixels, packets, at, kind, outputs, counts)
         return
@@ -254,43 +269,73 @@ def step_one(cell, space, frame, surfaces, pixels, packets, at, port, outputs, c
     met, upper = 0, min(t_out, distance)
     if len(surfaces.floats) > 0:
         met = open_root(surfaces, outputs.stack, 0, o, inv, max(t_in, T_MIN), upper)
+    boxes = for_boxes(o, inv)
     if kind == SHADOW:
-        _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, met, outputs, counts)
+        _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, boxes, met, outputs, counts)
     else:
-        _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, met, outputs, counts)
+        _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, boxes, met, outputs, counts)
     write_all_noted(cell, space, frame, pixels, outputs, counts)
 
 
 @part
 def _what(kind):
     """Which of the three sorts of steps a packet of this kind takes."""
-    return SHADOWS_ON if kind == SHADOW else (SETTLES if kind == RETURN or kind == PIXEL else WALKS_ON)
+    return np.int64(kind >= SHADOW) + np.int64(kind > SHADOW)
 
 
 @part
 def _alike(packets, first, last):
     """(sort of step of packet `first`, the first packet after it with another, or `last`)."""
-    what, k = _what(np.int64(packets[first * SIZE]) & 7), first + 1
-    while k < last and _what(np.int64(packets[k * SIZE]) & 7) == what:
-        k += 1
-    return what, k
+    what, others = _what(read_kind(packets, first * SIZE)), 0
+    for k in range(first + 1, last):  # nearly always there are none, and without a branch that is soon known
+        others |= _what(read_kind(packets, k * SIZE)) ^ what
+    end = last
+    if others != 0:
+        end = first + 1
+        while _what(read_kind(packets, end * SIZE)) == what:
+            end += 1
+    return what, end
 
 
 @part
-def _step_each(cell, space, frame, surfaces, pixels, packets, first, last, what, outputs, counts):
-    """The ray step of packets first..last-1, all of this sort; rays are set up already."""
-    for k in range(first, last):
-        at, j = k * SIZE, k - first
-        if what == SETTLES:
-            _settle(cell, space, frame, pixels, packets, at, np.int64(packets[at]) & 7, outputs, counts)
-            continue
-        ray, met = column(outputs.ahead, j), take_root(outputs.ahead, j, outputs.stack)
-        if what == SHADOWS_ON:
-            _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, met, outputs, counts)
+def _settle_each(cell, space, frame, pixels, packets, first, last, outputs, counts):
+    """The step of packets first..last-1, all of them returns or pixels: as `_settle`, those that go on before those that
+    are at home, without a branch for each."""
+    ways, lists = outputs.ahead.ways, outputs.ahead.lists
+    output, passing, ending = towards_corner(cell, space), 0, 0
+    for j in range(last - first):
+        at = (first + j) * SIZE
+        is_return = read_kind(packets, at) == RETURN
+        ways[j] = _way_home(cell, packets, at) if is_return else output
+        counts[DIED + PIXEL] += (not is_return) & (output == HOST)
+        lists[PASSING * ROOM + passing] = lists[ENDING * ROOM + ending] = j
+        passing += ways[j] != NO_PORT
+        ending += ways[j] == NO_PORT
+    hand_on_all(packets, first, lists, PASSING * ROOM, passing, ways, outputs, counts)
+    for k in range(ending):
+        _keep(frame, pixels, packets, (first + (lists[ENDING * ROOM + k] & (AHEAD - 1))) * SIZE, counts)
+
+
+@part
+def _step_each(cell, space, frame, surfaces, pixels, packets, first, many, shadows, marks, outputs, counts):
+    """The ray step of `many` packets from the first on, all of shadow rays or none, that are set up already.
+
+    marks  (box of all, ways that lead to no neighbour), see `node.sieve`
+    """
+    ahead = outputs.ahead
+    passing, ending, searched = sift(surfaces, many, shadows, *marks, ahead)
+    counts[WALKS] += passing
+    counts[BOXES] += passing if len(surfaces.floats) > 0 else 0
+    hand_on_all(packets, first, ahead.lists, PASSING * ROOM, passing, ahead.ways, outputs, counts)
+    for k in range(ending + searched):
+        j = unfinished(ahead, k, ending)
+        at = (first + j) * SIZE
+        ray, boxes, met = column(ahead, j), boxes_of(ahead, j), take_root(ahead, j, outputs.stack)
+        if shadows:
+            _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, boxes, met, outputs, counts)
         else:
-            kind = np.int64(packets[at]) & 7
-            _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, met, outputs, counts)
-    write_all_noted(cell, space, frame, pixels, outputs, counts)
+            kind = read_kind(packets, at)
+            _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, boxes, met, outputs, counts)
 
 
 @lean
@@ -301,17 +346,22 @@ def step(cell, space, frame, surfaces, pixels, packets, ports, first, last, outp
     A packet gives at most one packet a light, a reflected and a refracted ray.
     """
     room = (outputs.data.shape[1] - HEAD) // SIZE
+    marks = (box_of_all(surfaces.floats), ends_of_array(cell.index, space.shape))
     k = first
-    while k < last:
+    while True:
         # so many packets cannot fill an output, whatever they give birth to: no need to look at each
-        stop = min(last, k + min(AHEAD, (room - fullest(outputs.held)) // (frame.n_lights + 2)))
-        if stop == k:
-            break
+        stop = min(last, k + min(AHEAD, (room - fullest(outputs.held) - noted(outputs)) // (frame.n_lights + 2)))
+        if stop <= k:
+            if noted(outputs) == 0:
+                return k
+            write_all_noted(cell, space, frame, pixels, outputs, counts)
+            continue
         what, stop = _alike(packets, k, stop)
-        if what != SETTLES:
-            read_ahead(frame, packets, ports, k, stop, what == SHADOWS_ON, outputs.ahead)
-            set_up_ahead(cell, space, stop - k, what == SHADOWS_ON, outputs.ahead)
-            open_roots(surfaces, stop - k, what == SHADOWS_ON, outputs.ahead)
-        _step_each(cell, space, frame, surfaces, pixels, packets, k, stop, what, outputs, counts)
+        if what == SETTLES:
+            _settle_each(cell, space, frame, pixels, packets, k, stop, outputs, counts)
+        else:
+            shadows = what == SHADOWS_ON
+            read_ahead(frame, packets, ports, k, stop, shadows, outputs.ahead)
+            set_up_ahead(cell, space, stop - k, shadows, outputs.ahead)
+            _step_each(cell, space, frame, surfaces, pixels, packets, k, stop - k, shadows, marks, outputs, counts)
         k = stop
-    return k

@@ -9,6 +9,7 @@ every lane; LLVM makes of eight lanes one, two or four registers, whatever the p
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Any
 
 from llvmlite import ir
@@ -18,11 +19,14 @@ EIGHT = 8
 
 _LONG, _INT = ir.IntType(64), ir.IntType(32)
 _DOUBLE, _SINGLE = ir.DoubleType(), ir.FloatType()
-_OF = {"float64": _DOUBLE, "int32": _INT, "int64": _LONG}
+_OF = {"float64": _DOUBLE, "float32": _SINGLE, "uint8": ir.IntType(8), "int32": _INT, "int64": _LONG}
 
 
 class Lanes:
-    """Eight numbers, or eight truths, of one type: binary64, int32 or int64. A plain number is in every lane."""
+    """Eight numbers, or eight truths, of one type: binary64, binary32, int32 or int64. A plain number is in every lane.
+
+    Bytes and binary32 are read and written, and little else; what is worked out with them is written out below.
+    """
 
     def __init__(self, builder: Any, value: Any) -> None:
         self.builder, self.value = builder, value
@@ -37,7 +41,7 @@ class Lanes:
         return self._with(getattr(self.builder, convert)(self.value, ir.VectorType(kind, EIGHT)))
 
     def _do(self, of_floats: str, of_wholes: str, other: Lanes | float) -> Lanes:
-        name = of_floats if self.value.type.element == _DOUBLE else of_wholes
+        name = of_floats if self.value.type.element in (_DOUBLE, _SINGLE) else of_wholes
         return self._with(getattr(self.builder, name)(self.value, self._same(other)))
 
     def every(self, one: float) -> Lanes:
@@ -72,6 +76,9 @@ class Lanes:
 
     def __or__(self, other: Lanes | int) -> Lanes:
         return self._with(self.builder.or_(self.value, self._same(other)))
+
+    def __xor__(self, other: Lanes | int) -> Lanes:
+        return self._with(self.builder.xor(self.value, self._same(other)))
 
     def __lshift__(self, places: Lanes | int) -> Lanes:
         return self._with(self.builder.shl(self.value, self._same(places)))
@@ -108,7 +115,7 @@ class Lanes:
     # --- comparisons and choices ---------------------------------------------------------------------
 
     def _compared(self, operator: str, other: Lanes | float) -> Lanes:
-        floats = self.value.type.element == _DOUBLE
+        floats = self.value.type.element in (_DOUBLE, _SINGLE)
         compare = self.builder.fcmp_ordered if floats else self.builder.icmp_signed
         return self._with(compare(operator, self.value, self._same(other)))
 
@@ -136,8 +143,29 @@ class Lanes:
         """Of truths: where these hold and the others do not."""
         return self._with(self.builder.and_(self.value, self.builder.not_(other.value)))
 
+    def both(self, other: Lanes) -> Lanes:
+        """Of truths: where these hold and the others do."""
+        return self._with(self.builder.and_(self.value, other.value))
+
+    def either(self, other: Lanes) -> Lanes:
+        """Of truths: where these hold or the others do."""
+        return self._with(self.builder.or_(self.value, other.value))
+
+    def count(self) -> Any:
+        """Of truths: how many hold, one int64."""
+        together = self.builder.bitcast(self.value, ir.IntType(EIGHT))
+        return self.builder.zext(self.builder.ctpop(together), _LONG)
+
+    def in_front(self, chosen: Lanes) -> Lanes:
+        """Of int64: those that are chosen in front, in order, and then anything; one instruction with AVX-512."""
+        kind = self.value.type
+        declared = ir.FunctionType(kind, [kind, chosen.value.type, kind])
+        name = f"llvm.experimental.vector.compress.v{EIGHT}i64"
+        compress = cgutils.get_or_insert_function(self.builder.module, declared, name)
+        return self._with(self.builder.call(compress, [self.value, chosen.value, ir.Constant(kind, ir.Undefined)]))
+
     def as_int(self) -> Lanes:
-        """Of truths: 1 where they hold, else 0, as int32."""
+        """Of truths, or bytes: as int32, truths 1 where they hold, else 0."""
         return self._as("zext", _INT)
 
     # --- other types ---------------------------------------------------------------------------------
@@ -150,9 +178,21 @@ class Lanes:
         """Numbers without their fractions, which must be small, as int32."""
         return self._as("fptosi", _INT)
 
+    def as_number(self) -> Lanes:
+        """Numbers without their fractions, as int64."""
+        return self._as("fptosi", _LONG)
+
     def as_long(self) -> Lanes:
         """Whole numbers that are not negative, or truths, as int64."""
         return self._as("zext", _LONG)
+
+    def lower_half(self) -> Lanes:
+        """The lower halves of int64, as int32."""
+        return self._as("trunc", _INT)
+
+    def as_single(self) -> Lanes:
+        """The nearest binary32."""
+        return self._as("fptrunc", _SINGLE)
 
     def bits(self) -> Lanes:
         """The bits of binary64."""
@@ -164,7 +204,7 @@ class Lanes:
 
     def bits_of_single(self) -> Lanes:
         """The bits of the nearest binary32, as int64."""
-        return self._as("fptrunc", _SINGLE)._as("bitcast", _INT).as_long()
+        return self.as_single()._as("bitcast", _INT).as_long()
 
 
 def least(first: Lanes, *others: Lanes) -> Lanes:
@@ -199,6 +239,12 @@ class Table:
     def _place(self, row: int) -> Any:
         index = self._builder.add(self._at, ir.Constant(_LONG, row * self._length))
         return self._builder.bitcast(self._builder.gep(self._data, [index]), self._vector.as_pointer())
+
+    def at(self, place: Any) -> Table:
+        """The same from another place on."""
+        other = copy(self)
+        other._at = place
+        return other
 
     def read(self, row: int) -> Lanes:
         """Eight numbers of a row."""

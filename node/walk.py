@@ -105,11 +105,8 @@ def leaves_array(index, shape, port):
 
 @part
 def towards_cell(index, target):
-    """The port on the way to another cell, x before y before z; NO_PORT: it is this one."""
-    if target[0] != index[0]:
-        return 0 if target[0] < index[0] else 1
-    if target[1] != index[1]:
-        return 2 if target[1] < index[1] else 3
-    if target[2] != index[2]:
-        return 4 if target[2] < index[2] else 5
-    return NO_PORT
+    """The port on the way to another cell, x before y before z; NO_PORT: it is this one. Without a branch."""
+    x, y, z = 0 if target[0] < index[0] else 1, 2 if target[1] < index[1] else 3, 4 if target[2] < index[2] else 5
+    port = z if target[2] != index[2] else NO_PORT
+    port = y if target[1] != index[1] else port
+    return x if target[0] != index[0] else port

@@ -16,6 +16,7 @@ from raygrid.node.eyes import (
     note_primary,
     note_return,
     noted_return,
+    pixel_of,
     put_primary,
     work_out_primaries,
     work_out_returns,
@@ -94,6 +95,26 @@ def test_a_full_lot_says_so():
     seen, frame = make_seen(), one_frame()
     assert [note_return(seen, frame, 0, 1, (np.float32(1.0),) * 3) for _ in range(LOT)] == [False] * (LOT - 1) + [True]
     assert LOT % EIGHT == 0
+
+
+@given(
+    st.integers(1, 1 << 16),
+    st.sampled_from([1, 2, 3, 7, 1000]),
+    st.lists(st.integers(0, 2**32 - 1), min_size=1, max_size=20),
+)
+@settings(deadline=None)
+def test_points_of_returns_in_large_pictures(width, number, samples):
+    """Every quotient is right up to the largest sample number."""
+    frame = one_frame()._replace(width=width, height=1 << 16, samples=number)
+    seen = make_seen()
+    for sample in samples:
+        note_return(seen, frame, sample, 1, (np.float32(1.0),) * 3)
+    work_out_returns(SPACE, frame, seen)
+    for k, sample in enumerate(samples):
+        pixel = sample // number
+        assert pixel_of(seen, k) == (pixel % width, pixel // width)
+        enters, point, _, _ = _ray(frame, sample)
+        assert not enters or entered_at(seen, k) == point
 
 
 @pytest.mark.parametrize("many", [1, EIGHT, LOT - 1, LOT])
