@@ -31,8 +31,18 @@ from raygrid.node.packets import PRIMARY
 from raygrid.node.pair import Pair
 from raygrid.node.processor import Processor
 from raygrid.node.rounds import FLUSH, LEAST, NAP, NAPS
-from raygrid.node.tally import MOST_HOLD, MOST_NAP, MOST_PACKETS, MOST_QUOTA, NUMBER, ORDER, SUMS, pack_tally, read_tally
 from raygrid.node.tables import BORN
+from raygrid.node.tally import (
+    MOST_HOLD,
+    MOST_NAP,
+    MOST_PACKETS,
+    MOST_QUOTA,
+    NUMBER,
+    ORDER,
+    SUMS,
+    pack_tally,
+    read_tally,
+)
 from raygrid.node.wired import Wired
 
 NAME, SHAPE = "3x1x1", (3, 1, 1)
