@@ -81,7 +81,7 @@ def _greatest_plane(floats, row):
 
 @part
 def ends_of_array(index, shape):
-    """Bits, one a way: which ways of a cell lead to no neighbour. ASTRAY is none."""
+    """Bits, one a way: which ways of a cell lead to no neighbour; ASTRAY counts as one."""
     ends = np.int64(1 << ASTRAY)
     for port in range(PORTS):
         if leaves_array(index, shape, port):
