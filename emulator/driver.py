@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raygrid.node.answers import read_sums
 from raygrid.node.errors import ArrayError, Garbled, ProtocolError, SceneError, Stuck
 from raygrid.node.flood import corners
 from raygrid.node.increments import pieces
@@ -24,7 +25,6 @@ from raygrid.node.messages import MessageKind, check_packets, pack_surfaces, rea
 from raygrid.node.motions import Moves, groups_order, placed
 from raygrid.node.orders import frame_order, space_order
 from raygrid.node.packets import KINDS, PIXEL, PRIMARY
-from raygrid.node.processor import read_sums
 from raygrid.node.programs import Program, program_order
 from raygrid.node.surfaces import Batch, SurfaceSet
 from raygrid.node.tables import BORN, DIED, Frame

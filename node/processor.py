@@ -25,7 +25,6 @@ comes back, summing. Every node obeys the order and answers once its children ha
 
 from __future__ import annotations
 
-import os
 import time
 from collections import Counter, deque
 from collections.abc import Callable
@@ -34,6 +33,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .answers import add_answer, record_of
 from .errors import ProtocolError
 from .flood import Branch, branches, tree_children, tree_parent
 from .increments import MOVED, Way
@@ -41,10 +41,10 @@ from .link import Arrival, Link, State
 from .messages import MessageKind, check_packets, pack_surfaces, read_order, read_surfaces
 from .orders import read_frame, read_space
 from .overlap import meets
-from .packets import FAULTS, PacketKind
+from .packets import FAULTS
 from .rounds import BATCH, FLUSH, LEAST, NAP, NAPS
-from .surfaces import SURFACE_KINDS, AnyKind, Batch
-from .tables import BORN, BOXES, COUNTS, DIED, HITS, SENT, TESTS, WALKS
+from .surfaces import Batch
+from .tables import COUNTS
 from .tally import (
     ALLOWED,
     COLLECTING,
@@ -73,8 +73,7 @@ from .tracer import FLUSH as USUAL_FLUSH
 from .tracer import Tracer
 from .trial import ready_program
 from .turn import IDLE
-from .usage import peak_memory, private_memory
-from .walk import HOST, PORTS
+from .walk import HOST
 from .wired import Wired
 
 PHASES = {
@@ -86,6 +85,7 @@ PHASES = {
 }  # begun by an order
 MOST_REASONS = 100  # that are told apart, so that a hostile neighbour cannot fill the memory with them
 CLOGGED = 64  # waiting messages on a link at which no more surfaces are taken in
+
 
 class Processor:
     """A node as its links see it.
@@ -120,7 +120,7 @@ class Processor:
         self._received = self._handed_on = 0
         self._halted = self._built = False
         self.refused: Counter[str] = Counter()
-        self._cpu_at_frame = 0.0
+        self.cpu_at_frame = 0.0
         self.tracer.pace[FLUSH], self.tracer.pace[BATCH] = min(USUAL_FLUSH, batch), batch
         self._wired: Wired | None = None
         self._ports = list(links.items())
@@ -369,7 +369,7 @@ class Processor:
             self.tracer.build()
             self._built = True
         elif do == "frame":
-            self._cpu_at_frame = time.process_time()
+            self.cpu_at_frame = time.process_time()
             self.tracer.set_frame(read_frame(order))
             for link in self.links.values():
                 link.forget_peaks()
@@ -422,7 +422,7 @@ class Processor:
         self._up = True
         answer = self._own_answer(str(do))
         for other in self._answers:
-            _add_answer(answer, other)
+            add_answer(answer, other)
         answer["wave"] = self._wave.get("wave")
         self._wave, self._deadline = None, 0.0
         self.links[self._parent].send_order(MessageKind.UP, answer)
@@ -489,7 +489,11 @@ class Processor:
     def _lend_tally(self, wired: Wired) -> None:
         """Let compiled code take care of tallies while no other wave is under way."""
         known = self.tally.known
-        known[RECEIVED], known[HANDED_ON], known[COLLECTING] = self._received, self._handed_on, self.tracer.collecting >= 0
+        known[RECEIVED], known[HANDED_ON], known[COLLECTING] = (
+            self._received,
+            self._handed_on,
+            self.tracer.collecting >= 0,
+        )
         known[REFUSED] = sum(self.refused.values())
         strange = [link for port, link in self._ports if not wired.keeps(port)]
         known[DATA_SENT] = sum(link.data_sent for link in strange)
@@ -499,51 +503,4 @@ class Processor:
 
     def record(self) -> dict[str, Any]:
         """What this node says of itself, JSON-able."""
-        counts, tracer = self.tracer.counts, self.tracer
-        kinds = list(PacketKind)
-        return {
-            "index": list(self.index),
-            "program": None if tracer.program is None else tracer.program.program.digest,
-            "pid": os.getpid(),
-            "surfaces": {kind.name.lower(): _held(tracer, kind) for kind in SURFACE_KINDS},
-            "born": {kind.name.lower(): int(counts[BORN + kind]) for kind in kinds},
-            "died": {kind.name.lower(): int(counts[DIED + kind]) for kind in kinds},
-            "sent": [int(counts[SENT + port]) for port in range(PORTS)],
-            "tests": {kind.name.lower(): int(counts[TESTS + kind]) for kind in SURFACE_KINDS},
-            "walks": int(counts[WALKS]),
-            "boxes": int(counts[BOXES]),
-            "hits": int(counts[HITS]),
-            "messages": sum(link.messages_sent for link in self.links.values()),
-            "bytes": sum(link.bytes_sent for link in self.links.values()),
-            "stale": sum(link.stale for link in self.links.values()),
-            "waiting": tracer.backlog.held + int(tracer.outputs.held.sum()),
-            "most_waiting": tracer.backlog.most_held,
-            "most_queued_messages": max((link.most_waiting for link in self.links.values()), default=0),
-            "memory": {**tracer.memory, "links": sum(link.most_waiting_bytes for link in self.links.values())},
-            "busy_seconds": round(time.process_time() - self._cpu_at_frame, 6),
-            "cpu_seconds": round(time.process_time(), 6),
-            "peak_memory": peak_memory(),
-            "private_memory": private_memory(),
-        }
-
-
-def _held(tracer: Tracer, kind: AnyKind) -> int:
-    return sum(len(batch) for batch in tracer.retained if batch.kind == kind)
-
-
-def read_sums(answer: dict[str, Any]) -> NDArray[np.int64]:
-    """The sums of an answer, int64 (SUMS,). Raises ProtocolError if it has none."""
-    sums = answer.get("sums")
-    if not isinstance(sums, bytes) or len(sums) != 8 * SUMS:
-        raise ProtocolError("an answer came without its sums")
-    return np.frombuffer(sums, "<i8").astype(np.int64)
-
-
-def _add_answer(answer: dict[str, Any], other: dict[str, Any]) -> None:
-    """Sum an answer of a child into one's own. Raises ProtocolError if it is not an answer."""
-    nodes, refusals = other.get("nodes"), other.get("refusals")
-    if not isinstance(nodes, list) or not isinstance(refusals, list):
-        raise ProtocolError("an answer came without its lists")
-    answer["sums"] = (read_sums(answer) + read_sums(other)).tobytes()
-    answer["nodes"] = answer["nodes"] + nodes
-    answer["refusals"] = (answer["refusals"] + refusals)[:3]
+        return record_of(self)

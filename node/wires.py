@@ -55,7 +55,11 @@ class Wires(NamedTuple):
 
 def no_wires(tally: Tally | None = None) -> Wires:
     """Of a node whose links are served by Python alone."""
-    books, calls, spent = np.zeros((LINKS, BOOK), np.int64), np.zeros(native.ADDRESSES, np.int64), np.zeros(SPENT, np.int64)
+    books, calls, spent = (
+        np.zeros((LINKS, BOOK), np.int64),
+        np.zeros(native.ADDRESSES, np.int64),
+        np.zeros(SPENT, np.int64),
+    )
     nothing = np.zeros(HEAD, np.uint8), np.zeros((0, 2), np.int64), np.zeros(0, np.int64)
     return Wires(books, calls, spent, *nothing, make_tally() if tally is None else tally)
 

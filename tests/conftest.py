@@ -52,4 +52,4 @@ def pytest_configure() -> None:
 @pytest.fixture
 def quick_records(monkeypatch: pytest.MonkeyPatch) -> None:
     """Records of nodes in memory without this process' own memory, which takes the kernel longer than a small picture."""
-    monkeypatch.setattr("raygrid.node.processor.private_memory", lambda: 0)
+    monkeypatch.setattr("raygrid.node.answers.private_memory", lambda: 0)

@@ -108,7 +108,8 @@ def test_another_length_is_refused(size):
 
 
 @pytest.mark.parametrize(
-    "odd", [{"quota": None}, {"quota": -1}, {"quota": 1.0}, {"gather": 1.5}, {"linger": 2.0}, {"hold": "x"}, {"flush": 0}]
+    "odd",
+    [{"quota": None}, {"quota": -1}, {"quota": 1.0}, {"gather": 1.5}, {"linger": 2.0}, {"hold": "x"}, {"flush": 0}],
 )
 def test_an_order_that_is_none_is_no_tally(odd):
     assert pack_tally(1, {"do": "trace", "quota": 5, "flush": 9, **odd}) is None
@@ -277,7 +278,10 @@ def spoil(fields: list[int], place: int, value: int) -> bytes:
 GOOD = [4, 200, LONG, 0, 0, 64]
 ODD = {
     "a second tally": [(LOW, MessageKind.TALLY, tally_bytes(GOOD)), (LOW, MessageKind.TALLY, tally_bytes(GOOD))],
-    "an order beside it": [(LOW, MessageKind.TALLY, tally_bytes(GOOD)), (LOW, MessageKind.DOWN, b"\x81\xa2do\xa5ready")],
+    "an order beside it": [
+        (LOW, MessageKind.TALLY, tally_bytes(GOOD)),
+        (LOW, MessageKind.DOWN, b"\x81\xa2do\xa5ready"),
+    ],
     "a tally from a child": [(HIGH, MessageKind.TALLY, tally_bytes(GOOD))],
     "an answer from the parent": [(LOW, MessageKind.TALLIED, child_answer(4))],
     "an answer to nothing": [(HIGH, MessageKind.TALLIED, child_answer(4))],
@@ -348,9 +352,7 @@ def test_any_tally_has_the_same_consequences(fields, wrong, value):
             state, taken = middle.node.tally.state, middle.node.links[LOW].received + middle.node.links[LOW].stale
             said = ""
             try:
-                middle.until(
-                    lambda heard, m=middle, t=taken: m.node.links[LOW].received + m.node.links[LOW].stale > t
-                )
+                middle.until(lambda heard, m=middle, t=taken: m.node.links[LOW].received + m.node.links[LOW].stale > t)
             except ProtocolError as error:
                 said = str(error)
             pending = [int(state[place]) for place in (tally.PENDING, tally.CURRENT, tally.HEARD)]
