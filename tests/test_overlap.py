@@ -254,3 +254,39 @@ def test_concave_outlines_are_kept_only_where_they_reach():
             on_rim = ((rim >= low - 1e-3) & (rim <= low + 1 / 25 + 1e-3)).all(1).any()
             assert inside <= kept[-1] <= (inside or on_rim)
         assert 200 < sum(kept) < 450
+
+
+# --- boxes -------------------------------------------------------------------------------------------------
+
+
+def box_of(rows: Batch, k: int) -> F64:
+    """The box of one surface, by its definition."""
+    data = (
+        rows.data[k].astype(np.float64) if rows.kind != Kind.POLYGON else rows.data[rows.starts[k] : rows.starts[k + 1]]
+    )
+    if rows.kind == Kind.POLYGON:
+        return np.array([data.min(0), data.max(0)])
+    if rows.kind == Kind.SPHERE:
+        return np.array([data[:3] - abs(data[3]), data[:3] + abs(data[3])])
+    if rows.kind in FLAT:
+        points = data[:9].reshape(3, 3)
+        return np.array([points.min(0), points.max(0)])
+    base, apex, axis = data[:3], data[4:7], data[4:7] - data[:3]
+    x, y, z = axis * axis
+    reach = np.sqrt(np.clip(1.0 - axis * axis / (x + y + z or 1.0), 0.0, 1.0))
+    rims = [base - abs(data[3]) * reach, apex - abs(data[7]) * reach]
+    rims += [base + abs(data[3]) * reach, apex + abs(data[7]) * reach]
+    return np.array([np.minimum(rims[0], rims[1]), np.maximum(rims[2], rims[3])])
+
+
+def test_boxes_are_those_of_each_surface_to_the_bit():
+    rng = np.random.default_rng(96)
+    kinds = [batch(kind, random_rows(kind, rng, 60)) for kind in Kind]
+    kinds += [batch(Kind.CONE, [np.array([0.1, 0.2, 0.3, 0.1, 0.1, 0.2, 0.3, 0.2])])]  # of no height
+    for rows in kinds:
+        boxes = rows.bounds()
+        assert (boxes.dtype, boxes.shape) == (np.float64, (len(rows), 2, 3))
+        np.testing.assert_array_equal(boxes, [box_of(rows, k) for k in range(len(rows))])
+        assert rows.select(np.zeros(0, np.intp)).bounds().shape == (0, 2, 3)
+    every = np.concatenate([rows.bounds() for rows in kinds])
+    np.testing.assert_array_equal(SurfaceSet(tuple(kinds)).bounds(), [every[:, 0].min(0), every[:, 1].max(0)])
