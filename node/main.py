@@ -147,7 +147,9 @@ def _serve(
     faults = [channel for channel in channels.values() if isinstance(channel, Faulty)]
     if kind is not Processor:  # what keeps machine time takes other messages than those that compiled code knows
         return _loop(config, processor, pairs, faults, life, line, probe)
-    with closing(Wired(processor.links, pairs, processor.tally, (life, line.fileno()), timed=profiled)) as wired:
+    with closing(
+        Wired(processor.links, pairs, processor.tallies.tally, (life, line.fileno()), timed=profiled)
+    ) as wired:
         processor.wire(wired)
         return _loop(config, processor, pairs, faults, life, line, probe)
 

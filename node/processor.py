@@ -45,29 +45,18 @@ from .packets import FAULTS
 from .rounds import BATCH, FLUSH, LEAST, NAP, NAPS
 from .surfaces import Batch
 from .tables import COUNTS
+from .tallies import Tallies
 from .tally import (
     ALLOWED,
     COLLECTING,
-    CURRENT,
     DATA_DONE,
     DATA_SENT,
-    DEADLINE,
-    FRESH,
     HANDED_ON,
     HOMES_LEFT,
-    PENDING,
     RECEIVED,
     REFUSED,
     SUMS,
-    UNTOLD,
     WAITING,
-    all_heard,
-    begin,
-    hear,
-    make_tally,
-    pack_tallied,
-    read_tallied,
-    read_tally,
 )
 from .tracer import FLUSH as USUAL_FLUSH
 from .tracer import Tracer
@@ -116,7 +105,7 @@ class Processor:
         self._wave: dict[str, Any] | None = None
         self._answers: list[dict[str, Any]] = []
         self._deadline = 0.0
-        self.tally = make_tally(self._parent, tuple(self._children))
+        self.tallies = Tallies(links, self._parent, self._children)
         self._received = self._handed_on = 0
         self._halted = self._built = False
         self.refused: Counter[str] = Counter()
@@ -142,9 +131,9 @@ class Processor:
             elif arrival.kind == MessageKind.UP and port in self._children:
                 self._answers.append(read_order(arrival.message))
             elif arrival.kind == MessageKind.TALLY and port == self._parent:
-                self._begin_tally(read_tally(arrival.message))
+                self._begin_tally(arrival.message)
             elif arrival.kind == MessageKind.TALLIED and port in self._children:
-                hear(self.tally, port, *read_tallied(arrival.message))
+                self.tallies.hear(port, arrival.message)
             else:
                 self._take_other(port, link, arrival)
 
@@ -171,8 +160,8 @@ class Processor:
         self._flush()
         if self._wave is not None:
             self._maybe_answer()
-        elif self.tally.state[PENDING]:
-            self._maybe_answer_tally()
+        elif self.tallies.pending:
+            self.tallies.maybe_answer(self.clock(), self._idle, self._own_sums)
         return self.busy
 
     def _trace(self, wait: bool) -> None:
@@ -217,8 +206,8 @@ class Processor:
 
     def wait_limit(self) -> float | None:
         """Seconds after which `work` must be called even if nothing arrives; None: never."""
-        if all_heard(self.tally):
-            return max(0.0, int(self.tally.state[DEADLINE]) * 1e-9 - self.clock())
+        if self.tallies.waits_for_node:
+            return self.tallies.left(self.clock())
         if self._wave is None or not self._deadline:
             return None
         return max(0.0, self._deadline - self.clock())
@@ -338,7 +327,7 @@ class Processor:
             self._refuse(f"node {self.index}: {error}")
 
     def _refuse_second_wave(self) -> None:
-        if self._wave is not None or self.tally.state[PENDING]:
+        if self._wave is not None or self.tallies.pending:
             raise ProtocolError(f"node {self.index}: a wave came before the last one was answered")
 
     def _obey(self, order: dict[str, Any]) -> None:
@@ -456,39 +445,17 @@ class Processor:
 
     # --- tallies -----------------------------------------------------------------------------------
 
-    def _begin_tally(self, fields: list[int]) -> None:
+    def _begin_tally(self, message: bytes) -> None:
         self._refuse_second_wave()
-        begin(self.tally, fields, int(self.clock() * 1e9))
-        self._tell_children()
-        self.tally.state[FRESH] = 0
+        _, quota, _, gather, nap, flush = self.tallies.begin(message, self.clock())
         if self.tracer.frame is None:
             self._refuse(f"node {self.index}: the order 'trace' came before a frame")
             return
-        _, quota, _, gather, nap, flush = fields
         self._admit(quota, gather, nap, flush)
-
-    def _tell_children(self) -> None:
-        """Hand a tally on to the children that have not been told of it."""
-        state, payload = self.tally.state, self.tally.order.astype("<i8").tobytes()
-        for port in self._children:
-            if state[UNTOLD] >> port & 1:
-                self.links[port].send_words(MessageKind.TALLY, payload)
-        state[UNTOLD] = 0
-
-    def _maybe_answer_tally(self) -> None:
-        """As `_maybe_answer`, of a tally; and go on with what compiled code could not send."""
-        state = self.tally.state
-        if state[UNTOLD]:
-            self._tell_children()
-        if not all_heard(self.tally) or (int(self.clock() * 1e9) < state[DEADLINE] and not self._idle()):
-            return
-        payload = pack_tallied(int(state[CURRENT]), self.tally.sums + self._own_sums())
-        state[PENDING] = 0
-        self.links[self._parent].send_words(MessageKind.TALLIED, payload)
 
     def _lend_tally(self, wired: Wired) -> None:
         """Let compiled code take care of tallies while no other wave is under way."""
-        known = self.tally.known
+        known = self.tallies.tally.known
         known[RECEIVED], known[HANDED_ON], known[COLLECTING] = (
             self._received,
             self._handed_on,

@@ -6,7 +6,7 @@ A tally goes down the tree of a wave as a row of int64, and its answer comes bac
     TALLIED  number of the wave, sums
 
 How a tally stands in a node is kept in arrays that Python and compiled code both read and write, so that each can go on
-with what the other has begun.
+with what the other has begun (`node.tallies` is what Python does).
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
@@ -130,30 +130,6 @@ def read_tallied(message: bytes) -> tuple[int, NDArray[np.int64]]:
     return int(numbers[0]), numbers[1:]
 
 
-def begin(tally: Tally, fields: list[int], now: int) -> None:
-    """A tally has come from the parent. now: nanoseconds."""
-    tally.order[:] = fields
-    state = tally.state
-    state[PENDING], state[CURRENT], state[HEARD], state[UNTOLD] = 1, fields[NUMBER], 0, state[CHILDREN]
-    state[DEADLINE], state[FRESH] = now + fields[HOLD], 1
-    tally.sums[:] = 0
-
-
-def hear(tally: Tally, port: int, number: int, sums: NDArray[np.int64]) -> None:
-    """A child has answered. Raises ProtocolError if it was not asked."""
-    state = tally.state
-    if not state[PENDING] or number != state[CURRENT] or state[HEARD] >> port & 1:
-        raise ProtocolError(f"an answer to tally {number} came by port {port}, wanted none")
-    tally.sums[:] += sums
-    state[HEARD] |= 1 << port
-
-
-def all_heard(tally: Tally) -> bool:
-    """Whether one is under way that waits for nobody but this node."""
-    state = tally.state
-    return bool(state[PENDING] and not state[UNTOLD] and state[HEARD] == state[CHILDREN])
-
-
 # --- in compiled code ----------------------------------------------------------------------------------
 
 
@@ -186,7 +162,7 @@ def may_begin(tally, port, raw):
 
 @part
 def begin_here(tally, raw, now):
-    """As `begin`."""
+    """As `tallies.Tallies.begin`; what it orders is still to be done."""
     state = tally.state
     for k in range(ORDER):
         tally.order[k] = read_word(raw, k)
@@ -207,7 +183,7 @@ def may_hear(tally, port, raw):
 
 @part
 def hear_here(tally, port, raw):
-    """As `hear`."""
+    """As `tallies.Tallies.hear`."""
     for k in range(SUMS):
         tally.sums[k] += read_word(raw, 1 + k)
     tally.state[HEARD] |= 1 << port

@@ -75,7 +75,7 @@ class Bed:
         self.node.tracer.build()
         self.node.tracer.set_frame(scene().frame)
         if wired:
-            self.node.wire(Wired(links, {UPWARDS: self.pair}, self.node.tally))
+            self.node.wire(Wired(links, {UPWARDS: self.pair}, self.node.tallies.tally))
 
     def until(self, done: Any) -> None:
         """Let both ends take in what comes until something holds."""
@@ -233,7 +233,7 @@ def test_compiled_code_serves_the_link_and_python_does_not(beds, monkeypatch):
 def test_a_link_without_a_socket_of_its_own_is_left_to_python(beds):
     plain, _ = beds()
     plain.link.channel = type("Between", (), {"send": plain.pair.send, "receive": plain.pair.receive})()
-    plain.node.wire(Wired(plain.node.links, {UPWARDS: plain.pair}, plain.node.tally))
+    plain.node.wire(Wired(plain.node.links, {UPWARDS: plain.pair}, plain.node.tallies.tally))
     assert not plain.node.serves_itself(UPWARDS)
     assert outcome(plain, messages(plain.peer, [some_packets(50)]))["received"][2] == 1
 

@@ -21,7 +21,7 @@ from support_packets import return_bytes
 from support_scenes import Scene, mixed_scene, space_of
 from support_space import EVEN_STEP
 
-from raygrid.node import native, processor, tally
+from raygrid.node import native, tallies, tally
 from raygrid.node.errors import ProtocolError
 from raygrid.node.link import Link, State
 from raygrid.node.main import open_links
@@ -32,6 +32,7 @@ from raygrid.node.pair import Pair
 from raygrid.node.processor import Processor
 from raygrid.node.rounds import FLUSH, LEAST, NAP, NAPS
 from raygrid.node.tables import BORN
+from raygrid.node.tallies import Tallies
 from raygrid.node.tally import (
     MOST_HOLD,
     MOST_NAP,
@@ -156,7 +157,7 @@ class Middle:
         self.node.tracer.build()
         self.node.tracer.set_frame(scene().frame)
         if wired:
-            self._wired = Wired(links, self.pairs, self.node.tally)
+            self._wired = Wired(links, self.pairs, self.node.tallies.tally)
             self.node.wire(self._wired)
 
     def say(self, port: int, kind: MessageKind, payload: bytes) -> None:
@@ -256,9 +257,9 @@ def test_both_answer_the_same_after_the_same_work(make):
 @pytest.mark.skipif(native.find_functions() is None, reason="no functions to call")
 def test_compiled_code_does_it_and_python_does_not(make, monkeypatch):
     middle = make(True)
-    monkeypatch.setattr(processor, "pack_tallied", lambda *rest: pytest.fail("Python answered"))
-    for name in ("_begin_tally", "_tell_children", "receive"):
-        monkeypatch.setattr(Processor, name, lambda self, *rest, name=name: pytest.fail(f"Python: {name}"))
+    monkeypatch.setattr(tallies, "pack_tallied", lambda *rest: pytest.fail("Python answered"))
+    monkeypatch.setattr(Tallies, "tell_children", lambda self: pytest.fail("Python told"))
+    monkeypatch.setattr(Processor, "receive", lambda self, port: pytest.fail("Python received"))
     monkeypatch.setattr(Processor, "serves_itself", lambda self, port: True)
     middle.say(LOW, MessageKind.TALLY, tally_bytes([9, 50, LONG, 300, 800, 17]))
     middle.until(lambda heard: len(heard) == 1)
@@ -349,14 +350,17 @@ def test_any_tally_has_the_same_consequences(fields, wrong, value):
             raw = bytearray(message(MessageKind.TALLY, tally_bytes(fields), 0, link.sent, link.data_done, link.epoch))
             raw[wrong] = value
             assert middle.others[LOW].send(sealed(bytes(raw)))
-            state, taken = middle.node.tally.state, middle.node.links[LOW].received + middle.node.links[LOW].stale
+            state, taken = (
+                middle.node.tallies.tally.state,
+                middle.node.links[LOW].received + middle.node.links[LOW].stale,
+            )
             said = ""
             try:
                 middle.until(lambda heard, m=middle, t=taken: m.node.links[LOW].received + m.node.links[LOW].stale > t)
             except ProtocolError as error:
                 said = str(error)
             pending = [int(state[place]) for place in (tally.PENDING, tally.CURRENT, tally.HEARD)]
-            outcomes.append((said, pending, middle.node.tally.order.tolist(), middle.node.links[LOW].stale))
+            outcomes.append((said, pending, middle.node.tallies.tally.order.tolist(), middle.node.links[LOW].stale))
     assert outcomes[0] == outcomes[1]
 
 
