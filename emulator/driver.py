@@ -49,8 +49,9 @@ CHUNK_BYTES = 1 << 16  # surfaces in a message
 BUDGET = 1 << 20  # packets in flight below which primaries are admitted, and so the most primaries alive (`bounds`)
 PATIENCE = 30.0  # seconds without any progress after which the array is taken to hang
 HOLD = 0.02  # seconds for which a busy node may hold a wave, and a millisecond more for every node
-# seconds that a node naps for more packets: so long for every node that a processor of this computer carries, at most
-LINGER, LONGEST_LINGER = 0.0002, 0.015
+# seconds that a node naps for more packets: so long for every node that a processor of this computer carries, once more
+# for so many packets under way; at most
+LINGER, PACKETS_A_LINGER, LONGEST_LINGER = 0.0002, 1 << 19, 0.016
 GATHER = 0.25  # part of the mean share of packets that it waits for
 EAGER_FLUSH, CROWDED_FLUSH = 256, 4096  # packets for which a node with work sends an output
 PROGRAM_SECONDS = 600.0  # one process compiles a program, which takes half a minute on an idle computer
@@ -322,13 +323,15 @@ class Driver:
 
         With more nodes than processors of this computer, a node that wakes for every message does little but wake.
         A node waits for a part of the mean share, so some node always has enough; the tail of a pass waits for nothing.
+        Fewer and larger messages cost less, and the more there is to do, the less it matters when they come.
         """
         share = now.in_flight // self.nodes
         if self.nodes <= self._processors or share < LEAST_SHARE:
             return {"gather": 0, "linger": 0.0, "flush": EAGER_FLUSH}
+        linger = LINGER * self.nodes / self._processors * (1.0 + now.in_flight / PACKETS_A_LINGER)
         return {
             "gather": int(share * GATHER),
-            "linger": min(LONGEST_LINGER, LINGER * self.nodes / self._processors),
+            "linger": min(LONGEST_LINGER, linger),
             "flush": CROWDED_FLUSH,
         }
 
