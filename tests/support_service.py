@@ -83,8 +83,11 @@ def sums(scene: Path | str, **settings: Any) -> NDArray[np.int64]:
     return rendered(load_scene(scene), **({"size": SIZE} | settings)).sums
 
 
-def watch_until(service: Service, job: int, what: str, **facts: Any) -> dict[str, Any]:
-    """Follow a job until an event of it comes with these facts."""
+def watch_until(service: Service, job: int, what: str, from_frame: int = 0, **facts: Any) -> dict[str, Any]:
+    """Follow a job until an event of it comes with these facts, of this frame or a later one.
+
+    Who begins to follow hears of what comes from then on: a frame may be done by then.
+    """
 
     class Found(Exception):
         pass
@@ -92,7 +95,7 @@ def watch_until(service: Service, job: int, what: str, **facts: Any) -> dict[str
     found: list[dict[str, Any]] = []
 
     def look(event: dict[str, Any]) -> None:
-        if event["what"] == what and facts.items() <= event.items():
+        if event["what"] == what and facts.items() <= event.items() and event.get("frame", from_frame) >= from_frame:
             found.append(event)
             raise Found
 

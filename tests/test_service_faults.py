@@ -146,7 +146,7 @@ def test_jobs_survive_a_crash_of_the_service(name, tmp_path):
     with raygrid.connect(name) as array:
         short = array.submit(TINY, output=tmp_path / "f_%d.npy", frames=(1, 60), size=SIZE)
         other = array.submit(KINDS, output=tmp_path / "k_%d.npy", frames=(1, 60), size=SIZE)
-        watch_until(array, short.job, "frame", frame=3)
+        watch_until(array, short.job, "frame", from_frame=3)
         nodes = [node["pid"] for node in array.status()["nodes"]]
         os.kill(array.pid, signal.SIGKILL)
         with pytest.raises(ArrayError, match=r"the array 'test' .*(gone|closed)"):
@@ -243,8 +243,8 @@ def test_without_room_for_the_journal_jobs_are_refused_until_there_is_some(name,
 
 
 def test_when_the_disk_fills_up_meanwhile_the_array_goes_on_and_the_journal_catches_up(name, array, tmp_path):
-    job = array.submit(TINY, output=tmp_path / "f_%d.npy", frames=(1, 50), size=SIZE)
-    watch_until(array, job.job, "frame", frame=2)
+    job = array.submit(TINY, output=tmp_path / "f_%d.npy", frames=(1, 200), size=SIZE)
+    watch_until(array, job.job, "frame", from_frame=2)
     with no_room(array.pid):
         with pytest.raises(ArrayError, match=rf"job {job.job} failed: frame \d+: .*npy: the file cannot be written"):
             job.wait()
@@ -253,8 +253,8 @@ def test_when_the_disk_fills_up_meanwhile_the_array_goes_on_and_the_journal_catc
     assert array.status()["journal"]["trouble"] == ""
     listed = {row["job"]: row["state"] for row in array.jobs()}
     assert listed[job.job] == "failed"
-    again = array.submit(TINY, output=tmp_path / "f_%d.npy", frames=(1, 50), size=SIZE, resume=True).wait()
-    assert again.frames == 50
+    again = array.submit(TINY, output=tmp_path / "f_%d.npy", frames=(1, 200), size=SIZE, resume=True).wait()
+    assert again.frames == 200
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".raygrid")]
 
 
@@ -262,7 +262,7 @@ def test_an_output_directory_that_goes_away_fails_the_job_in_one_line(name, arra
     folder = tmp_path / "out"
     folder.mkdir()
     job = array.submit(TINY, output=folder / "f_%d.npy", frames=(1, 1000), size=SIZE)
-    watch_until(array, job.job, "frame", frame=2)
+    watch_until(array, job.job, "frame", from_frame=2)
     shutil.rmtree(folder, ignore_errors=True)
     while folder.exists():  # a frame may have been written meanwhile
         shutil.rmtree(folder, ignore_errors=True)
