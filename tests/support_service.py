@@ -95,7 +95,7 @@ def watch_until(service: Service, job: int, what: str, from_frame: int = 0, **fa
     found: list[dict[str, Any]] = []
 
     def look(event: dict[str, Any]) -> None:
-        if event["what"] == what and facts.items() <= event.items() and event.get("frame", from_frame) >= from_frame:
+        if event["what"] == what and facts.items() <= event.items() and (event.get("frame") or 0) >= from_frame:
             found.append(event)
             raise Found
 
