@@ -26,6 +26,7 @@ from raygrid.emulator.memory_array import MemoryArray
 from raygrid.host.job import Job, Settings, make_job
 from raygrid.host.load import load_scene
 from raygrid.node import backlog
+from raygrid.node.rounds import AFTER
 from raygrid.node.tables import SENT, WALKS
 from raygrid.node.walk import PORTS
 
@@ -34,7 +35,6 @@ Shape = tuple[int, int, int]
 
 IDLE_CALLS = 2000
 GATHER = 4  # a node may hold so many times less than the one that holds most
-PACE = 7  # place of the pace among the arguments of `rounds.go`
 TURN = 65536  # packets after which a turn ends
 
 
@@ -97,18 +97,10 @@ class Loaded:
         self.array.driver.ready()
         self.array.driver.load(job.space, job.surfaces)
         for processor in self.array.processors:
-            processor.tracer._go = self._long(self.turns.of(processor.tracer._go))
+            processor.tracer._go = self.turns.of(processor.tracer._go)
+            processor.tracer.pace[AFTER] = TURN
         self.least, self.least_sorting = np.inf, np.inf
         self.calls = 0
-
-    @staticmethod
-    def _long(go: Callable[..., Any]) -> Callable[..., Any]:
-        """`rounds.go` with longer turns."""
-
-        def longer(*arguments: Any) -> Any:
-            return go(*arguments[:PACE], (TURN, *arguments[PACE][1:]), *arguments[PACE + 1 :])
-
-        return longer
 
     def run(self) -> None:
         """Trace the frame once."""
