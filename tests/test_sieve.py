@@ -156,6 +156,7 @@ def test_packets_are_handed_on_as_one_by_one():
     counts, counts_of_all = np.zeros(COUNTS, np.int64), np.zeros(COUNTS, np.int64)
     for outputs in (one, all_of_them):
         clear(outputs)
+        outputs.data[:] = 0  # nobody else writes what is not used yet
     for _ in range(2):
         for j in numbers[5:40]:
             hand_on(packets, (7 + j) * SIZE, ways[j], one, counts)
