@@ -18,7 +18,7 @@ from raygrid.node.messages import MessageKind
 # wait for more than 3 at once as well, and ZeroMQ gives up.
 FEW_DESCRIPTORS = (3, 8)
 NO_DESCRIPTORS = ("exit code 1: ZMQError: Too many open files", "signal SIGABRT: Invalid argument (src/")
-LITTLE_ROOM = 1 << 18  # bytes; the arrays that the large frame needs are larger
+LITTLE_ROOM = 1 << 16  # bytes; the arrays that the large frame needs are larger
 
 
 def _strike(name: str, moment: str, nth: int, act: Callable[[Bed], object]) -> Case:
