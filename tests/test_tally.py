@@ -38,7 +38,6 @@ from raygrid.node.tally import (
     MOST_NAP,
     MOST_PACKETS,
     MOST_QUOTA,
-    NUMBER,
     ORDER,
     SUMS,
     pack_tally,
@@ -312,21 +311,37 @@ def test_what_is_odd_is_left_to_python(make, odd):
     assert said[0] == said[1]
 
 
-def test_a_busy_node_answers_at_the_deadline(make):
-    """With a hold of nothing it answers while packets wait; with a long one only when it is idle."""
+def test_it_is_answered_when_all_is_done(make):
+    """Although the node was given work with it, and has a long time."""
     for wired in (False, True):
-        for hold in (0, LONG):
-            middle = make(wired)
-            packets = [return_bytes(1, k % 400, (0.5, 1.5, 0.0), (1, 0, 0)) for k in range(300)]
-            payload = b"".join(packets)
-            middle.peers[LOW].send_data(MessageKind.PACKETS, len(packets), payload)
-            middle.say(LOW, MessageKind.TALLY, tally_bytes([4, 20_000, hold, 0, 0, 64]))
-            middle.until(lambda heard: len(heard) == 1)
-            middle.say(HIGH, MessageKind.TALLIED, tally.pack_tallied(4, np.zeros(SUMS, np.int64)))
-            (answer,) = middle.until(answered)
-            _, sums = tally.read_tallied(message(MessageKind.TALLIED, answer[2]))
-            if hold:
-                assert (sums[tally.WAITING], sums[tally.HOMES_LEFT]) == (0, 0)
+        middle = make(wired)
+        packets = [return_bytes(1, k % 400, (0.5, 1.5, 0.0), (1, 0, 0)) for k in range(300)]
+        middle.peers[LOW].send_data(MessageKind.PACKETS, len(packets), b"".join(packets))
+        middle.say(LOW, MessageKind.TALLY, tally_bytes([4, 20_000, LONG, 0, 0, 64]))
+        middle.until(lambda heard: len(heard) == 1)
+        middle.say(HIGH, MessageKind.TALLIED, tally.pack_tallied(4, np.zeros(SUMS, np.int64)))
+        (answer,) = middle.until(answered)
+        _, sums = tally.read_tallied(message(MessageKind.TALLIED, answer[2]))
+        assert (sums[tally.WAITING], sums[tally.HOMES_LEFT]) == (0, 0)
+
+
+@pytest.mark.parametrize("wired", [False, True])
+def test_a_node_that_is_never_idle_answers_at_the_deadline_and_not_before(make, monkeypatch, wired):
+    monkeypatch.setattr(Processor, "_idle", lambda self: False)
+    monkeypatch.setattr(Processor, "_is_occupied", property(lambda self: True))
+    middle = make(wired)
+    state = middle.node.tallies.tally.state
+    for number, hold in ((4, 0), (5, LONG)):
+        middle.say(LOW, MessageKind.TALLY, tally_bytes([number, 50, hold, 0, 0, 64]))
+        middle.until(lambda heard: any(kind is MessageKind.TALLY for _, kind, _ in heard))
+        middle.say(HIGH, MessageKind.TALLIED, child_answer(number))
+        if hold:
+            middle.until(lambda heard: state[tally.HEARD] == state[tally.CHILDREN])
+            for _ in range(20):
+                middle.node.work()
+            assert state[tally.PENDING]
+            state[tally.DEADLINE] = 0
+        assert answered(middle.until(answered))
 
 
 def test_before_a_frame_it_is_refused(make):
@@ -362,6 +377,3 @@ def test_any_tally_has_the_same_consequences(fields, wrong, value):
             pending = [int(state[place]) for place in (tally.PENDING, tally.CURRENT, tally.HEARD)]
             outcomes.append((said, pending, middle.node.tallies.tally.order.tolist(), middle.node.links[LOW].stale))
     assert outcomes[0] == outcomes[1]
-
-
-assert NUMBER == 0
