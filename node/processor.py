@@ -58,8 +58,7 @@ from .tally import (
     SUMS,
     WAITING,
 )
-from .tracer import FLUSH as USUAL_FLUSH
-from .tracer import Tracer
+from .tracer import USUAL_FLUSH, Tracer
 from .trial import ready_program
 from .turn import IDLE
 from .walk import HOST

@@ -142,7 +142,7 @@ class Profile:
         receiving, turning, sending = (spent[:3] * 1e-9).tolist()
         self._seconds["receive"] += receiving
         self._seconds["send"] += sending
-        self._seconds["turns"] += turning or whole  # without a clock there is nothing else to go by
+        self._seconds["turns"] += turning or whole  # where rounds are not timed there is nothing else to go by
         self._seconds["aside"] += served - begun
         return why
 

@@ -19,8 +19,7 @@ from .packets import PIXEL, SIZE, Limits
 from .pixels import Pixels, make_pixels, send_pixels
 from .programs import Compiled
 from .refit import WORSE, expected_cost
-from .rounds import AFTER, AT_ONCE, BATCH, BELOW, PACE, WAIT, go
-from .rounds import FLUSH as PACE_FLUSH
+from .rounds import AFTER, AT_ONCE, BATCH, BELOW, FLUSH, PACE, WAIT, go
 from .surfaces import AddedKind, Batch, SurfaceSet, merge
 from .tables import BORN, COUNTS, DIED, SENT, Frame, frame_limits
 from .turn import ADMIT_AT_ONCE, ADMIT_BELOW, CROWDED, IDLE, PORTION, TURN
@@ -28,7 +27,7 @@ from .walk import HOST, OUTPUTS, SELF_RAYS
 from .wires import no_wires
 
 CHUNK = 8192  # pixel packets sent in a turn
-FLUSH = 256  # packets for which an output is sent although there is work, unless the root says otherwise
+USUAL_FLUSH = 256  # packets for which an output is sent although there is work, unless the root says otherwise
 ROOM = 16384  # packets that an output holds
 
 
@@ -57,7 +56,7 @@ class Tracer:
         self.wires = no_wires()
         self.pace = np.zeros(PACE, np.int64)
         self.pace[AFTER], self.pace[BELOW], self.pace[AT_ONCE] = TURN, ADMIT_BELOW, ADMIT_AT_ONCE
-        self.pace[PACE_FLUSH] = self.pace[BATCH] = FLUSH
+        self.pace[FLUSH] = self.pace[BATCH] = USUAL_FLUSH
         self._stale = False  # whether what is retained has changed since the tables were made
         self._built_cost = 0.0  # expected cost of the hierarchy when it was built, 0: not worked out
         self.surfaces = empty_surfaces()
