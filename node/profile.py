@@ -31,15 +31,16 @@ from .compiled import lean
 from .lattice import T_MIN
 from .packets import PRIMARY, SHADOW, SIZE
 from .profile_parts import PARTS
+from .rounds import RETURN
 from .tables import BORN, COUNTS, WALKS
 from .traverse import blocked, closest
-from .turn import PORTION
+from .turn import PORTION, TURN
 
 if TYPE_CHECKING:
     from .processor import Processor
     from .tracer import Tracer
 
-EVERY = 8  # turns, one of which is sampled
+EVERY = 2  # calls, one of which is sampled
 LEAST = 64  # packets worth sampling
 DECODE, WALK, HIT = 0, 1, 2
 BIRTHS = 8192  # primary rays born aside to know the time of one
@@ -94,6 +95,7 @@ class Profile:
         self._counts = np.zeros(COUNTS, np.int64)
         self._scratch = np.ones(BIRTHS * SIZE, np.uint8)
         self._frames = 0
+        processor.tracer.pace[RETURN] = 4 * TURN  # back to Python while packets wait, or there are none to sample
         self._begin()
         self._record = processor.record
         processor.receive = self._timed("receive", processor.receive)  # type: ignore[method-assign]

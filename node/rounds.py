@@ -48,7 +48,7 @@ DROWSY_FLUSH = 256  # packets for which an output is sent before a nap
 _PACKETS, _CREDIT = int(MessageKind.PACKETS), int(MessageKind.CREDIT)
 _TALLY, _TALLIED = int(MessageKind.TALLY), int(MessageKind.TALLIED)
 # places in Tracer.pace: the first three are those of `turn`
-AFTER, BELOW, AT_ONCE, FLUSH, LEAST, NAP, BATCH, WAIT, PACE = range(9)
+AFTER, BELOW, AT_ONCE, FLUSH, LEAST, NAP, BATCH, WAIT, RETURN, PACE = range(10)
 
 
 # --- receiving -----------------------------------------------------------------------------------------
@@ -258,7 +258,7 @@ def go(cell, space, frame, surfaces, pixels, cursor, quota, pace, bounds, stacks
     pace    int64 (PACE,). AFTER, BELOW, AT_ONCE: of `turn`; FLUSH: packets for which an output is sent while there is
             work; LEAST: packets that are worth a turn; NAP: microseconds, for which a node sleeps NAPS times before it
             takes one that is not; BATCH: most packets a message; WAIT: whether to wait where nothing is left to do,
-            until something comes. Tallies change FLUSH, LEAST and NAP
+            until something comes; RETURN: packets after which it ends in any case. Tallies change FLUSH, LEAST and NAP
     bounds  int64, the fields of `Limits`
     Without wires it is one turn. The other arguments are those of `turn`.
     """
@@ -302,5 +302,5 @@ def go(cell, space, frame, surfaces, pixels, cursor, quota, pace, bounds, stacks
         needed = needed or _answer_tally(wires, False, quota, cursor, held, outputs, counts)
         since = _count_time(wires, SENDING, since)
         served += max(done, LEAST_ROUND)
-        if needed or served >= ROUNDS:
+        if needed or served >= pace[RETURN]:
             return quota, SEND if needed else LONG

@@ -19,7 +19,7 @@ from .packets import PIXEL, SIZE, Limits
 from .pixels import Pixels, make_pixels, send_pixels
 from .programs import Compiled
 from .refit import WORSE, expected_cost
-from .rounds import AFTER, AT_ONCE, BATCH, BELOW, FLUSH, PACE, WAIT, go
+from .rounds import AFTER, AT_ONCE, BATCH, BELOW, FLUSH, PACE, RETURN, ROUNDS, WAIT, go
 from .surfaces import AddedKind, Batch, SurfaceSet, merge
 from .tables import BORN, COUNTS, DIED, SENT, Frame, frame_limits
 from .turn import ADMIT_AT_ONCE, ADMIT_BELOW, CROWDED, IDLE, PORTION, TURN
@@ -57,6 +57,7 @@ class Tracer:
         self.pace = np.zeros(PACE, np.int64)
         self.pace[AFTER], self.pace[BELOW], self.pace[AT_ONCE] = TURN, ADMIT_BELOW, ADMIT_AT_ONCE
         self.pace[FLUSH] = self.pace[BATCH] = USUAL_FLUSH
+        self.pace[RETURN] = ROUNDS
         self._stale = False  # whether what is retained has changed since the tables were made
         self._built_cost = 0.0  # expected cost of the hierarchy when it was built, 0: not worked out
         self.surfaces = empty_surfaces()
