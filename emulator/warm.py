@@ -3,16 +3,21 @@
 A tiny in-memory array renders a tiny scene that has every kind of surface, light and ray, so every kernel is
 called with exactly the argument types that nodes use. Each function that has to be compiled is reported, so that
 the minute of a first run can be seen to go on.
+
+There are kernels of several kinds (`kernel_kinds`), of which most runs need only the first: who simulates never needs those that
+keep time in real nodes, and nearly nobody needs all. So each kind is compiled when it is first used, and named then.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numba.core import event
 
-from raygrid.node import profile
+from raygrid.node import kernel_cache, profile, remarks
+from raygrid.node.errors import ArrayError
 from raygrid.node.lattice import World, make_space
 from raygrid.node.misses import add_missed
 from raygrid.node.motions import SHIFT, Moves, at_rest, make_groups
@@ -25,6 +30,7 @@ from raygrid.node.tables import COUNTS, LIGHT_COLUMNS, MATERIAL_COLUMNS, Frame
 from raygrid.node.timed import Prices
 
 from .collected import Collected
+from .kernel_kinds import NODES, NOTE, TIMED_NODES, compiling
 from .memory_array import MemoryArray
 from .split import split
 from .work import is_cached
@@ -32,14 +38,18 @@ from .work import is_cached
 Report = Callable[[int, int, str], None]
 
 
-KERNELS = 338  # functions that a first run compiles (counted); one more or less moves only the progress bar
+# functions of each kind that are compiled in a first run (counted); one more or less moves only the progress bar
+KERNELS, TIMED_KERNELS = 338, 24
 
 
 class Compilations(event.Listener):
-    """Reports every function that numba has compiled and not found in its cache."""
+    """Reports every function that numba has compiled and not found in its cache.
 
-    def __init__(self, report: Report) -> None:
-        self._report = report
+    done  how many
+    """
+
+    def __init__(self, report: Report, kind: str, expected: int) -> None:
+        self._report, self._kind, self._expected = report, kind, expected
         self.done = 0
 
     def on_start(self, event: event.Event) -> None:
@@ -50,16 +60,41 @@ class Compilations(event.Listener):
         self.done += 1
         function = event.data["dispatcher"].py_func
         name = function.__name__.strip("_") if function.__module__.startswith("raygrid.") else "parts of numba"
-        self._report(self.done, max(KERNELS, self.done + 1), f"compiling {name}")
+        self._report(self.done, max(self._expected, self.done + 1), compiling(name, self._kind))
+
+
+@contextlib.contextmanager
+def told_of(report: Report, kind: str, expected: int) -> Iterator[Compilations]:
+    """Within, what is compiled is reported, and so are remarks on kernels."""
+    compilations = Compilations(report, kind, expected)
+
+    def note(text: str) -> None:
+        report(compilations.done, expected, NOTE + text)
+
+    with event.install_listener("numba:compile", compilations), remarks.heard_by(note):
+        yield compilations
+
+
+@contextlib.contextmanager
+def _helped() -> Iterator[None]:
+    """Whatever fails within is told with the place of compiled kernels, and what helps if they are why."""
+    try:
+        yield
+    except Exception as error:
+        told = f"{type(error).__name__}: {' '.join(str(error).split())[:300]}"
+        helps = f"; if {kernel_cache.DIRECTORY} is removed, they are compiled anew" if kernel_cache.DIRECTORY else ""
+        raise ArrayError(f"the kernels cannot be made ready ({told}){helps}") from error
 
 
 def warm(report: Report) -> None:
     """Call every kernel once. `report(done, total, what)` is called at the start, after each function that was
-    compiled ("compiling ..."), and at the end; of what is in the cache it hears nothing."""
+    compiled ("compiling ... for ..."), for each remark (NOTE), and at the end; of what is in the cache it hears nothing.
+
+    Raises ArrayError.
+    """
     report(0, KERNELS, "loading kernels")
     find_functions()
-    compilations = Compilations(report)
-    with event.install_listener("numba:compile", compilations):
+    with _helped(), told_of(report, NODES, KERNELS) as compilations:
         array = MemoryArray((2, 1, 1))
         half = LATTICE // 2
         space = make_space((2.0**-24, 2.0**-24, 2.0**-24), [[0, half, LATTICE], [0, LATTICE], [0, LATTICE]])
@@ -89,8 +124,7 @@ def warm(report: Report) -> None:
 def warm_timed(report: Report) -> None:
     """The same, and the kernels of nodes that keep machine time."""
     warm(report)
-    compilations = Compilations(report)
-    with event.install_listener("numba:compile", compilations):
+    with _helped(), told_of(report, TIMED_NODES, TIMED_KERNELS):
         array = MemoryArray((2, 1, 1), timed=True)
         half = LATTICE // 2
         space = make_space((2.0**-24, 2.0**-24, 2.0**-24), [[0, half, LATTICE], [0, LATTICE], [0, LATTICE]])

@@ -8,9 +8,12 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from raygrid.emulator.jam import NaiveMachine, Outcome, Waiting, surely_free
+from raygrid.emulator.kernel_kinds import LOOKING
+from raygrid.host.command_simulate import compiling
 from raygrid.host.job import Job, Settings, make_job
 from raygrid.host.load import load_scene
 from raygrid.host.outputs import write_result
+from raygrid.host.progress import Talk
 from raygrid.node.main import PORT_NAMES
 
 DEFAULT_SIZE = (64, 64)  # a jam comes early or not at all, and every hop is a step of its own
@@ -37,10 +40,11 @@ def run_jam(request: Request) -> None:
     """Run the model without admission and with it, and print how both ended. Raises RaygridError."""
     scene = load_scene(request.scene)
     settings = {**request.settings, "size": request.settings.get("size") or DEFAULT_SIZE}
-    job = make_job(scene, request.shape, Settings(**settings))
-    free = surely_free(job.frame, request.room)
-    budget = max(1, free) if request.budget is None else request.budget
-    naive, admitted = _run(job, request.room, None), _run(job, request.room, budget)
+    with Talk(False) as talk, compiling(talk, LOOKING):
+        job = make_job(scene, request.shape, Settings(**settings))
+        free = surely_free(job.frame, request.room)
+        budget = max(1, free) if request.budget is None else request.budget
+        naive, admitted = _run(job, request.room, None), _run(job, request.room, budget)
     if request.as_json:
         told = {"scene": scene.name, "array": list(request.shape), "surely_free_budget": free}
         told |= {"without_admission": asdict(naive), "with_admission": asdict(admitted)}

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from raygrid.emulator.kernel_kinds import SIMULATOR
 from raygrid.host.load import check_name
 from raygrid.host.outputs import check_different, check_path, check_picture_path, check_side, write_result
 from raygrid.host.progress import Talk
@@ -14,6 +14,9 @@ from raygrid.node.errors import OutputError
 
 if TYPE_CHECKING:
     from raygrid.host.simulate import Simulated
+
+
+KERNELS = 70  # of the simulator, about
 
 
 @dataclass(frozen=True)
@@ -76,22 +79,22 @@ def _simulate(request: Request, talk: Talk) -> Simulated:
 
 def told(talk: Talk) -> Any:
     """A teller for `simulate_job`: the phase, events so far, and how many a second."""
-    begun = time.monotonic()
+    from raygrid.emulator.compile_clock import now
+
+    begun = now()
 
     def tell(phase: str, events: int, died: int) -> None:
-        rate = events / max(time.monotonic() - begun, 1e-3) / 1e6
+        rate = events / max(now() - begun, 1e-3) / 1e6
         talk.phase(f"{phase}: {events / 1e6:.0f} million events, {died / 1e6:.1f} million packets done, {rate:.1f} M/s")
 
     return tell
 
 
-def compiling(talk: Talk) -> Any:
+def compiling(talk: Talk, kind: str = SIMULATOR) -> Any:
     """While this lasts, kernels that have to be compiled are told of."""
-    from numba.core import event
+    from raygrid.emulator.warm import told_of
 
-    from raygrid.emulator.warm import Compilations
-
-    return event.install_listener("numba:compile", Compilations(talk.warming))
+    return told_of(talk.warming, kind, KERNELS)
 
 
 def _check_outputs(request: Request) -> None:

@@ -7,9 +7,12 @@ import sys
 from dataclasses import dataclass
 from typing import Any
 
+from raygrid.emulator.kernel_kinds import LOOKING
+from raygrid.host.command_simulate import compiling
 from raygrid.host.job import Settings, make_job
 from raygrid.host.load import load_scene
 from raygrid.host.outputs import write_result
+from raygrid.host.progress import Talk
 from raygrid.host.trace import headline, plain_lines, ray_line, sample_line, trace_pixel
 
 
@@ -33,8 +36,9 @@ class Request:
 def run_trace(request: Request) -> None:
     """Load the scene into an array in memory, trace the pixel, print its tree. Raises RaygridError."""
     scene = load_scene(request.scene)
-    job = make_job(scene, request.shape, Settings(**request.settings))
-    told = trace_pixel(job, *request.pixel, request.sample)
+    with Talk(False) as talk, compiling(talk, LOOKING):
+        job = make_job(scene, request.shape, Settings(**request.settings))
+        told = trace_pixel(job, *request.pixel, request.sample)
     if request.as_json:
         write_result(json.dumps(told, indent=1))
     elif sys.stdout.isatty():

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from raygrid.emulator.kernel_kinds import KINDS, NOTE, kind_of
+
 if TYPE_CHECKING:
     from raygrid.emulator.driver import Progress
     from raygrid.host.steady import Fault
@@ -33,7 +35,7 @@ class Talk:
         self._task: Any = None
         self._expected = 1
         self._begun = time.monotonic()
-        self._told_compiling = False
+        self._told_compiling: set[str] = set()
         self._of = ""
 
     def __enter__(self) -> Talk:
@@ -97,16 +99,27 @@ class Talk:
             click.echo(text, err=True)
 
     def warming(self, done: int, total: int, what: str) -> None:
-        """Told by the nursery of each function that it had to compile, which only a first run does."""
-        if not what.startswith("compiling"):
+        """Told by the nursery of each function that it had to compile, which only a first run does, and of remarks."""
+        if what.startswith(NOTE):
+            self.remark(what.removeprefix(NOTE))
             return
-        if not self._told_compiling:
-            self._told_compiling = True
-            self._print("compiling the kernels, once on this computer; this may take a minute")
+        kind = kind_of(what)
+        if kind is None:
+            return
+        if kind not in self._told_compiling:
+            self._told_compiling.add(kind)
+            kinds = f"one of {len(KINDS)} kinds, each once on this computer"
+            self._print(f"compiling the kernels of {kind}, {kinds}; this may take a minute")
             self.phase("", total)
         if self._bar is not None:
             detail = f"{done} of {total}"
-            self._bar.update(self._task, completed=done, total=total, description=what[:32], detail=detail)
+            self._bar.update(
+                self._task,
+                completed=done,
+                total=total,
+                description=what.removesuffix(f" for {kind}")[:32],
+                detail=detail,
+            )
 
     def of(self, what: str) -> None:
         """What the phases of a picture are of: "frame 3 of 48: "."""

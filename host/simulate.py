@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raygrid.emulator import compile_clock
 from raygrid.emulator.flood_time import Flooded, flood
 from raygrid.emulator.shared_tables import ordered
 from raygrid.emulator.simulator import Model, Phase, make_model, read_out, trace
@@ -64,9 +64,9 @@ def simulate_job(
     `tell(phase, events, packets that died)` is called about once a second. Raises TooLarge, ArrayError.
     """
     chosen = cost.file.search if search is None else search
-    begun = time.perf_counter()
+    begun = compile_clock.now()
     model = make_model(job.space, job.surfaces, job.frame, chosen)
-    seconds = {"prepare": time.perf_counter() - begun, "trace": 0.0, "around": 0.0}
+    seconds = {"prepare": compile_clock.now() - begun, "trace": 0.0, "around": 0.0}
     frames: dict[str, Phase] = {}
     floods: dict[str, Flooded] = {}
     read_outs: dict[str, Phase] = {}
@@ -80,11 +80,11 @@ def simulate_job(
             sums = pixels.sums.copy()
             add_misses(job, sums, pixels.samples)
         if around:
-            since = time.perf_counter()
+            since = compile_clock.now()
             description = cost.file.ticks.description[LEVELS.index(level)]
             floods[level] = flood(job.space, surfaces, prices, description)
             read_outs[level] = read_out(model, prices, pixels, tell)
-            seconds["around"] += time.perf_counter() - since
-    seconds["whole"] = time.perf_counter() - begun
+            seconds["around"] += compile_clock.now() - since
+    seconds["whole"] = compile_clock.now() - begun
     picture = sums.reshape(job.frame.height, job.frame.width, 3)
     return Simulated(job, cost, chosen, model, frames, floods, read_outs, picture, seconds)

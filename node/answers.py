@@ -41,6 +41,7 @@ def record_of(processor: Processor) -> dict[str, Any]:
         "messages": sum(link.messages_sent for link in links.values()),
         "bytes": sum(link.bytes_sent for link in links.values()),
         "stale": sum(link.stale for link in links.values()),
+        "served_by": processor.served_by,
         "waiting": tracer.backlog.held + int(tracer.outputs.held.sum()),
         "most_waiting": tracer.backlog.most_held,
         "most_queued_messages": max((link.most_waiting for link in links.values()), default=0),

@@ -12,6 +12,7 @@ import numpy as np
 
 from .compiled import part
 from .lattice import HALF, MOST_TRIES, beside_ray, cell_index, nearest
+from .packets import SHORTEST
 from .walk import inverse
 
 TRIES = MOST_TRIES  # takes a primary ray 0.03 to 0.1 steps aside instead of 0.4
@@ -46,7 +47,7 @@ def image_point(sample, width, samples):
 
 @part
 def eye_ray(camera, i, j):
-    """((origin), (direction)) of the ray through an image point; the direction is a unit vector."""
+    """((origin), (direction)) of the ray through an image point; the direction is a unit vector, +z if it has none."""
     origin = (
         camera[0, 0] + i * camera[1, 0] + j * camera[2, 0],
         camera[0, 1] + i * camera[1, 1] + j * camera[2, 1],
@@ -57,7 +58,10 @@ def eye_ray(camera, i, j):
         camera[3, 1] + i * camera[4, 1] + j * camera[5, 1],
         camera[3, 2] + i * camera[4, 2] + j * camera[5, 2],
     )
-    scale = 1.0 / np.sqrt(direction[0] * direction[0] + direction[1] * direction[1] + direction[2] * direction[2])
+    squared = direction[0] * direction[0] + direction[1] * direction[1] + direction[2] * direction[2]
+    if not squared >= SHORTEST * SHORTEST:
+        return origin, (0.0, 0.0, 1.0)
+    scale = 1.0 / np.sqrt(squared)
     return origin, (direction[0] * scale, direction[1] * scale, direction[2] * scale)
 
 

@@ -35,11 +35,8 @@ _LEAN: dict[str, Any] = {**_COUNTING, "_nrt": False}
 
 def _compiled(function: Function, **options: Any) -> Function:
     dispatcher: Any = njit(**options)(function)
-    if hasattr(dispatcher, "_cache"):
+    if hasattr(dispatcher, "_cache"):  # without a compiler (NUMBA_DISABLE_JIT) it has none
         dispatcher._cache = LazyCache(function, kernel_cache.DIRECTORY)
-    elif hasattr(dispatcher, "enable_caching"):  # another numba; without a compiler (NUMBA_DISABLE_JIT) it has neither
-        with kernel_cache.in_directory(kernel_cache.DIRECTORY):
-            dispatcher.enable_caching()
     return cast(Function, dispatcher)
 
 

@@ -23,7 +23,7 @@ from .camera import R2_X, R2_Y, TRIES
 from .compiled import part
 from .lattice import FINE, HALF, LONGEST_STEP
 from .newborn import nearest_eight, next_on_lattice, put_made, rest_of_ray, words_of
-from .packets import PRIMARY, pack_weight
+from .packets import PRIMARY, SHORTEST, pack_weight
 from .vectors import EIGHT, Lanes, Table, least, most, splat, splats
 
 LOT = 128  # samples that are noted before they are worked out; a multiple of EIGHT
@@ -166,8 +166,9 @@ def _eye_ray(camera: list[Lanes], x: Lanes, y: Lanes) -> tuple[list[Lanes], list
         [camera[row + axis] + x * camera[row + 3 + axis] + y * camera[row + 6 + axis] for axis in range(3)]
         for row in (0, 9)
     )
-    scale = 1.0 / (u * u + v * v + w * w).root()
-    return origin, [u * scale, v * scale, w * scale]
+    squared = u * u + v * v + w * w
+    has_one, scale = squared >= SHORTEST * SHORTEST, 1.0 / squared.root()
+    return origin, [has_one.choose(one * scale, one.every(other)) for one, other in ((u, 0.0), (v, 0.0), (w, 1.0))]
 
 
 def _entry(origin: list[Lanes], direction: list[Lanes], step: list[Lanes]) -> tuple[Lanes, list[Lanes], list[Lanes]]:

@@ -33,6 +33,7 @@ from .intersect import (
     POLY_DROP,
 )
 from .lattice import SLACK, Cell
+from .packets import SHORTEST
 from .refit import refitted
 from .surfaces import STORED_AS, STRIDE, AddedKind, AnyKind, Batch, Kind, SurfaceSet
 from .tables import KIND_SHIFT, Surfaces
@@ -47,11 +48,13 @@ def cone_table(data: F64) -> F64:
     table = np.zeros((len(data), CONE_COLUMNS))
     axis = data[:, 4:7] - data[:, 0:3]
     height = np.sqrt(np.sum(axis * axis, axis=1))
+    has_one = height >= SHORTEST
+    length = np.where(has_one, height, 1.0)
     table[:, CONE_BASE : CONE_BASE + 3] = data[:, 0:3]
-    table[:, CONE_AXIS : CONE_AXIS + 3] = axis / height[:, None]
-    table[:, CONE_HEIGHT] = height
+    table[:, CONE_AXIS : CONE_AXIS + 3] = np.where(has_one[:, None], axis / length[:, None], 0.0)
+    table[:, CONE_HEIGHT] = np.where(has_one, height, -1.0)  # no height lies below 0: nothing is met
     table[:, CONE_RADIUS] = np.abs(data[:, 3])
-    table[:, CONE_SLOPE] = (np.abs(data[:, 7]) - np.abs(data[:, 3])) / height
+    table[:, CONE_SLOPE] = (np.abs(data[:, 7]) - np.abs(data[:, 3])) / length
     table[:, CONE_INSIDE] = (data[:, 3] < 0.0) | (data[:, 7] < 0.0)
     return table
 
@@ -117,6 +120,7 @@ def _polygons(points, starts, most_bins, planes, headers, bins, edges):
         first, last = starts[row], starts[row + 1]
         nx, ny, nz, mx, my, mz = _newell(points, first, last)
         length = np.sqrt(nx * nx + ny * ny + nz * nz)
+        length = length if length >= SHORTEST else 1.0  # then no ray meets its plane
         nx, ny, nz = nx / length, ny / length, nz / length
         planes[row, PLANE_NORMAL], planes[row, PLANE_NORMAL + 1], planes[row, PLANE_NORMAL + 2] = nx, ny, nz
         planes[row, PLANE_OFFSET] = nx * mx + ny * my + nz * mz

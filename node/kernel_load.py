@@ -15,6 +15,9 @@ compared with what is known; where anything differs, kernels are cached by numba
 
 A cache looks for its directory when it is first used, not when its function is decorated: nine of ten functions are only
 parts of kernels, and are never loaded.
+
+Whichever way a kernel is loaded, its files are sealed and in a place of ours (`node.kernel_cache`), and a kernel that
+cannot be loaded for whatever reason is as one that is not there: it is compiled, and its files are written anew.
 """
 
 from __future__ import annotations
@@ -23,17 +26,23 @@ import functools
 import importlib
 import inspect
 import os
+import pickle
 import re
 from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
+import numba
 from llvmlite import binding as _binding
 from numba.core import caching as _caching
 from numba.core import codegen as _codegen
 from numba.core import config as _config
 
-from .kernel_cache import DirectoryName, in_directory
+from . import kernel_cache
+from .kernel_cache import DirectoryName, doubt, in_directory, make_private, read_sealed, say_where, write_sealed
+from .remarks import remark
+from .trusted import why_not_trusted
 
 binding: Any = _binding
 caching: Any = _caching
@@ -120,9 +129,104 @@ def used_environments(library: Any, environments: Sequence[Any]) -> tuple[Any, .
     return tuple(one for one in environments if uses[one.env_name] != 1)
 
 
-if can_load_alone():
+_RELIED_UPON = {
+    "_SourceFileBackedLocatorMixin": ("from_function", "get_source_stamp", "get_disambiguator"),
+    "_CacheLocator": ("get_suitable_cache_subpath",),
+    "IndexDataCacheFile": ("save", "_load_index", "_save_index", "_save_data", "_data_path", "_dump"),
+    "CompileResultCacheImpl": ("filename_base", "locator"),
+    "FunctionCache": ("load_overload", "save_overload"),
+    "NullCache": ("load_overload", "save_overload"),
+}
 
-    class _Payload(caching.CompileResultCacheImpl):  # type: ignore[misc]
+
+@functools.cache
+def can_seal() -> bool:
+    """Whether this numba is one whose files can be sealed; of another nothing is kept."""
+    return all(
+        hasattr(getattr(caching, kind, None), name) for kind, names in _RELIED_UPON.items() for name in names
+    ) and hasattr(caching.CacheImpl, "_locator_classes")
+
+
+_why_not_trusted = functools.cache(why_not_trusted)  # many functions share a directory
+
+
+def _said(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+
+
+if can_seal():
+
+    class _Locator(caching._SourceFileBackedLocatorMixin, caching._CacheLocator):  # type: ignore[misc]
+        """Where the files of a function are: in the directory in which caches are made now, which may be one to read only."""
+
+        def __init__(self, function: Any, file: str) -> None:
+            self._py_file, self._lineno = file, function.__code__.co_firstlineno
+            self._path: str = os.path.join(config.CACHE_DIR, self.get_suitable_cache_subpath(file))
+
+        def get_cache_path(self) -> str:
+            return self._path
+
+        def ensure_cache_path(self) -> None:
+            """As of numba's locators. Raises OSError where nobody should load anything from."""
+            make_private(Path(self._path))
+            why = _why_not_trusted(self._path)
+            if why is not None:
+                doubt(self._path, f"the directory is {why}")
+                raise OSError(why)
+
+    class _SealedFiles(caching.IndexDataCacheFile):  # type: ignore[misc]
+        """Index and data of a function in sealed files. Data say which key they are of: two processes that compile a function
+        for other types at the same time may give both the same name, and one index is lost."""
+
+        def load(self, key: Any) -> Any:
+            name = self._load_index().get(key)
+            sealed = None if name is None else read_sealed(self._data_path(name))
+            if sealed is None:
+                return None
+            kept, data = pickle.loads(sealed)
+            return data if kept == key else None
+
+        def save(self, key: Any, data: Any) -> None:
+            super().save(key, (key, data))
+
+        def _load_index(self) -> dict[Any, str]:
+            sealed = read_sealed(self._index_path)
+            if sealed is None:
+                return {}
+            try:
+                version, rest = pickle.loads(sealed)
+                stamp, names = pickle.loads(rest) if version == self._version else (None, {})
+            except Exception as error:
+                doubt(self._index_path, _said(error))
+                return {}
+            return names if stamp == self._source_stamp else {}
+
+        def _save_index(self, names: dict[Any, str]) -> None:
+            write_sealed(self._index_path, pickle.dumps((self._version, self._dump((self._source_stamp, names)))))
+
+        def _save_data(self, name: str, data: Any) -> None:
+            write_sealed(self._data_path(name), self._dump(data))
+
+    class _OwnPayload(caching.CompileResultCacheImpl):  # type: ignore[misc]
+        """What numba keeps of a kernel, in our place."""
+
+        _locator_classes = (_Locator,)
+
+    class _Own(caching.FunctionCache):  # type: ignore[misc]
+        """numba's cache of a function, in sealed files in our place."""
+
+        _impl_class = _OwnPayload
+
+        def __init__(self, function: Any) -> None:
+            super().__init__(function)
+            locator = self._impl.locator
+            stamp = locator.get_source_stamp()
+            self._cache_file = _SealedFiles(locator.get_cache_path(), self._impl.filename_base, stamp)
+
+
+if can_seal() and can_load_alone():
+
+    class _Payload(_OwnPayload):
         """What is kept of a kernel: its names, and what numba keeps; in files that numba alone does not read."""
 
         def get_filename_base(self, fullname: str, abiflags: str) -> str:
@@ -143,7 +247,7 @@ if can_load_alone():
             result = caching.compiler.CompileResult._rebuild(lender, kept[0], *rest)
             return result._replace(target_context=target_context)
 
-    class _Alone(caching.FunctionCache):  # type: ignore[misc]
+    class _Alone(_Own):
         """numba's cache of a function, that looks first."""
 
         _impl_class = _Payload
@@ -196,11 +300,17 @@ class LazyCache:
 
     @functools.cached_property
     def _cache(self) -> Any:
+        if self._directory is None or not can_seal():
+            return caching.NullCache()
         with in_directory(self._directory):
             try:
-                return (_Alone if can_load_alone() else caching.FunctionCache)(self._function)
-            except RuntimeError:  # nothing can be written anywhere: compiled anew in each process
+                return (_Alone if can_load_alone() else _Own)(self._function)
+            except RuntimeError:  # this function's own directory cannot be used: compiled anew in each process
                 return caching.NullCache()
+
+    @property
+    def _file(self) -> str:
+        return getattr(getattr(self._cache, "_cache_file", None), "_index_path", self.cache_path)
 
     @property
     def cache_path(self) -> str:
@@ -208,12 +318,26 @@ class LazyCache:
         return self._cache.cache_path or os.devnull
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The compiled function for these types, None if it is not on disk."""
-        return self._cache.load_overload(sig, target_context)
+        """The compiled function for these types, None if it is not on disk, or cannot be loaded."""
+        try:
+            return self._cache.load_overload(sig, target_context)
+        except Exception as error:  # whatever is wrong with what was kept, compiling it mends
+            doubt(self._file, _said(error))
+            return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep a compiled function."""
-        self._cache.save_overload(sig, data)
+        """Keep a compiled function, if that can be; say why if not."""
+        say_where()
+        if not can_seal():
+            why = f"numba {numba.__version__} keeps them in a way that is not known here"
+            remark("kept", f"compiled kernels cannot be kept, and each run compiles them anew ({why})")
+        if not kernel_cache.KEEPING.writable:
+            return
+        try:
+            self._cache.save_overload(sig, data)
+        except OSError as error:
+            why = f"{error.strerror or error}: {error.filename or self._file}"
+            remark("kept", f"compiled kernels cannot be kept, and each run compiles them anew ({why})")
 
     def enable(self) -> None:
         """As of numba's caches."""

@@ -2,7 +2,7 @@
 
 An address is a number handed in when a kernel is called, so that compiled code stays good for other processes and
 can be kept on disk. Who has no such functions (another build of pyzmq or xxhash) gets no addresses, and the links are
-served by Python alone: slower, and the same in all else.
+served by Python alone: slower, and the same in all else. With RAYGRID_LINKS=python in the environment nobody has any.
 """
 
 # mypy: disallow-untyped-calls=False
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib
+import os
 import sys
 from collections.abc import Iterable
 from functools import cache
@@ -43,6 +44,7 @@ _FROM_ZEROMQ = {
 # the first also looks which instructions the processor has, where it can (x86)
 _CHECKSUMS = ("XXH3_64bits_withSeed_dispatch", "XXH3_64bits_withSeed")
 _SLEEP, _CLOCK = "usleep", "clock_gettime"
+SWITCH, BY_PYTHON = "RAYGRID_LINKS", "python"
 
 
 def _address_of(library: ctypes.CDLL, name: str) -> int:
@@ -53,15 +55,27 @@ def _library_of(module: str) -> ctypes.CDLL:
     return ctypes.CDLL(importlib.import_module(module).__file__)
 
 
-@cache
 def find_functions() -> NDArray[np.int64] | None:
     """The table of addresses, int64 (ADDRESSES,), without a message; None if one cannot be found.
 
     To be copied. A fork finds them where its parent did.
     """
+    return _look_for_functions()[0]
+
+
+def why_python() -> str | None:
+    """Why Python alone serves the links; None where compiled code does."""
+    return _look_for_functions()[1]
+
+
+@cache
+def _look_for_functions() -> tuple[NDArray[np.int64] | None, str | None]:
+    """The table, or why there is none."""
     table = np.zeros(ADDRESSES, np.int64)
+    if os.environ.get(SWITCH) == BY_PYTHON:
+        return None, f"{SWITCH}={BY_PYTHON} asks for it"
     if sys.byteorder != "little":  # of `poll_items`
-        return None
+        return None, "numbers begin with their highest byte on this computer"
     try:
         library = _library_of("zmq.backend.cython._zmq")  # a name is looked for in what it was linked with, too
         for place, name in _FROM_ZEROMQ.items():
@@ -70,10 +84,11 @@ def find_functions() -> NDArray[np.int64] | None:
         names = [name for name in _CHECKSUMS if hasattr(library, name)]
         table[CHECKSUM] = _address_of(library, names[0])
         table[SLEEP], table[CLOCK] = (_address_of(ctypes.CDLL(None), name) for name in (_SLEEP, _CLOCK))
-    except (ImportError, AttributeError, IndexError, OSError):
-        return None
+    except (ImportError, AttributeError, IndexError, OSError) as error:
+        missing = "no checksum of xxhash" if isinstance(error, IndexError) else str(error)
+        return None, f"a C function of pyzmq or xxhash cannot be found: {missing}"
     table[AGAIN] = int(zmq.EAGAIN)
-    return table
+    return table, None
 
 
 def poll_items(sockets: Iterable[int], descriptors: Iterable[int]) -> NDArray[np.int64]:

@@ -30,6 +30,7 @@ from .packets import (
     LARGEST_BINARY32,
     LARGEST_SHADOW_WEIGHT,
     LATTICE,
+    SHORTEST,
     TOO_LARGE_WEIGHT,
     WEIGHT_BIAS,
 )
@@ -156,7 +157,8 @@ def next_on_lattice(places: list[Lanes], speeds: list[Lanes], d: list[Lanes], st
 
 def octahedral_eight(d: list[Lanes]) -> list[Lanes]:
     """As `packets.octahedral`, int32."""
-    scale = 1.0 / (abs(d[0]) + abs(d[1]) + abs(d[2]))
+    size = abs(d[0]) + abs(d[1]) + abs(d[2])
+    scale = (size >= SHORTEST).choose(1.0 / size, size.every(0.0))
     u, v = d[0] * scale, d[1] * scale
     one = u.every(1.0)
     folded = ((1.0 - abs(v)) * one.signed_as(u), (1.0 - abs(u)) * one.signed_as(v))

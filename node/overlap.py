@@ -116,7 +116,7 @@ def _capsule_meets(data, row, low, high):
         a = data[row, 4 + axis] - data[row, axis]
         along += a * (0.5 * (low[axis] + high[axis]) - data[row, axis])
         length += a * a
-    t = min(max(along / length, 0.0), 1.0)
+    t = min(max(along / length, 0.0), 1.0) if length > 0.0 else 0.0
     for axis in range(3):
         a = data[row, 4 + axis] - data[row, axis]
         gap = 0.5 * (low[axis] + high[axis]) - data[row, axis] - t * a

@@ -69,6 +69,7 @@ WEIGHT_BIAS = 63
 WEIGHT_UNIT = np.ldexp(1.0, np.arange(128) - WEIGHT_BIAS - 11)
 WEIGHT_INVERSE_UNIT = np.ldexp(1.0, WEIGHT_BIAS + 11 - np.arange(128))
 TOO_LARGE_WEIGHT = 2.0**64
+SHORTEST = 1e-140  # a vector this short or shorter has no direction: its square, and that one's root, must be numbers
 LARGEST_BINARY32 = float(np.finfo(np.float32).max)
 LARGEST_SHADOW_WEIGHT = np.uint32(0x7F7FFF80)  # bits of the largest weight that 24 bits hold
 
@@ -155,8 +156,9 @@ def write(buffer, at, value, size):
 
 @part
 def octahedral(x, y, z):
-    """The two direction codes of a non-zero vector (need not be a unit vector)."""
-    scale = 1.0 / (abs(x) + abs(y) + abs(z))
+    """The two direction codes of a vector (need not be a unit vector); one too short to have a direction goes along +z."""
+    size = abs(x) + abs(y) + abs(z)
+    scale = 1.0 / size if size >= SHORTEST else 0.0
     u, v = x * scale, y * scale
     if z < 0.0:
         u, v = (1.0 - abs(v)) * math.copysign(1.0, u), (1.0 - abs(u)) * math.copysign(1.0, v)

@@ -144,6 +144,11 @@ class Processor:
         """Let compiled code serve some of the links while a frame is traced."""
         self._wired, self.tracer.wires = wired, wired.wires
 
+    @property
+    def served_by(self) -> str:
+        """What serves the links while a frame is traced: "compiled" or "python"."""
+        return "compiled" if self._wired is not None and self._wired.is_on else "python"
+
     def serves_itself(self, port: int) -> bool:
         """Whether `work` receives what comes over a link, so that `receive` need not be called for it."""
         return self._wired is not None and self.tracer.frame is not None and self._wired.serves(port)

@@ -170,17 +170,22 @@ def _directory(program: Program) -> Iterator[Path]:
     Gives the file of the program's text there: numba wants to know where a function came from.
     """
     if kernel_cache.DIRECTORY is None:
-        raise ProtocolError(f"the program {program.name} cannot be compiled: there is no directory for compiled code")
+        why = f"there is no directory for compiled code ({kernel_cache.KEEPING.why}); {kernel_cache.REMEDY}"
+        raise ProtocolError(f"the program {program.name} cannot be compiled: {why}")
     with kernel_cache.apart(f"program-{program.digest[:32]}") as directory:
         place = Path(directory)
         file, full = place / f"{program.digest}.py", place / "full"
+        if full.exists() and file.exists():
+            yield file
+            return
+        if not kernel_cache.KEEPING.writable:
+            raise ProtocolError(
+                f"the program {program.name} cannot be compiled: {place} cannot be written; {kernel_cache.REMEDY}"
+            )
         if not file.exists():
             written = place / f".{secrets.token_hex(6)}"
             written.write_text(program.source)
             os.replace(written, file)
-        if full.exists():
-            yield file
-            return
         with open(place / "lock", "wb") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             yield file

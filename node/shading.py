@@ -15,6 +15,7 @@ import numpy as np
 from .compiled import part
 from .intersect import CONE_AXIS, CONE_BASE, CONE_SLOPE, PLANE_NORMAL
 from .lattice import coordinate
+from .packets import SHORTEST
 from .tables import (
     AXIS,
     COS_DISC,
@@ -33,9 +34,11 @@ from .tables import (
 
 @part
 def unit(x, y, z):
-    """The unit vector along (x, y, z); zero stays zero."""
+    """The unit vector along (x, y, z); of what is too short to have a direction, or is none, zero."""
     squared = x * x + y * y + z * z
-    scale = 1.0 / np.sqrt(squared) if squared > 0.0 else 0.0
+    if not squared >= SHORTEST * SHORTEST:
+        return 0.0, 0.0, 0.0
+    scale = 1.0 / np.sqrt(squared)
     return x * scale, y * scale, z * scale
 
 
@@ -134,7 +137,12 @@ def refract(d, n, cosine, ratio):
     if k < 0.0:
         return False, d
     along = ratio * cosine - np.sqrt(k)
-    return True, unit(ratio * d[0] + along * n[0], ratio * d[1] + along * n[1], ratio * d[2] + along * n[2])
+    x, y, z = unit(ratio * d[0] + along * n[0], ratio * d[1] + along * n[1], ratio * d[2] + along * n[2])
+    if (
+        x == 0.0 and y == 0.0 and z == 0.0
+    ):  # a ratio so large that the sum cancels, which it does seen head on: straight on
+        return True, d
+    return True, (x, y, z)
 
 
 @part

@@ -77,6 +77,11 @@ class Wired:
         self._pairs[port].put_back(self._message.copy(), self._message.has_more)
         return port
 
+    @property
+    def is_on(self) -> bool:
+        """Whether compiled code serves any link."""
+        return bool(self._links)
+
     def keeps(self, port: int) -> bool:
         """Whether the book of a link is one of the tables."""
         return port in self._links
