@@ -7,7 +7,7 @@ STAMP  := $(VENV)/.installed
 PIP    := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet
 
 .DEFAULT_GOAL := help
-.PHONY: help render test test-long style types check bench faults fuzz clean
+.PHONY: help render test test-long style types check bench faults fuzz fuzz-scenes clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -53,6 +53,9 @@ faults: $(STAMP) ## break arrays in every way known, and write docs/faults.md; s
 
 fuzz: $(STAMP) ## send a million malformed packets and messages into a running array; some minutes
 	$(BIN)/python benchmarks/fuzz.py
+
+fuzz-scenes: $(STAMP) ## render 2,000 scenes with numbers at their extremes on several arrays; half an hour
+	$(BIN)/python benchmarks/fuzz_scenes.py
 
 clean: ## remove what the other targets made
 	rm -rf $(VENV) build out *.egg-info .pytest_cache .mypy_cache .ruff_cache

@@ -303,11 +303,33 @@ GLTF = """{"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0, 1, 
  <1>, <0.5>, <0.5>, <0.2>, <1>, <0.5>, <0.3>, <0.3>, <1>]}]}
 """
 
+MOTION = {  # a turning and shifted mesh in the place of the still one
+    '"scene": 0,': """"scene": 0, "animations": [{"channels": [
+ {"sampler": 0, "target": {"node": 3, "path": "rotation"}}, {"sampler": 1, "target": {"node": 3, "path": "translation"}}],
+ "samplers": [{"input": 3, "output": 4}, {"input": 3, "output": 5}]}],""",
+    '"type": "VEC3", "count": 3}],\n"bufferViews"': """"type": "VEC3", "count": 3},
+ {"bufferView": 3, "componentType": 5126, "type": "SCALAR", "count": 2},
+ {"bufferView": 4, "componentType": 5126, "type": "VEC4", "count": 2},
+ {"bufferView": 5, "componentType": 5126, "type": "VEC3", "count": 2}],
+"bufferViews\"""",
+    '"byteOffset": 72, "byteLength": 36}': """"byteOffset": 72, "byteLength": 36},
+ {"buffer": 0, "byteOffset": 108, "byteLength": 8}, {"buffer": 0, "byteOffset": 116, "byteLength": 32},
+ {"buffer": 0, "byteOffset": 148, "byteLength": 24}""",
+    '"byteLength": 108': '"byteLength": 172',
+    "<0.3>, <0.3>, <1>]}": """<0.3>, <0.3>, <1>,
+ <0>, <1>, <0>, <0.2>, <0>, <0.9>, <0.3>, <0>, <0>, <0.9>, <0.1>, <0>, <0>, <0.4>, <0.2>, <0>]}""",
+}
+GLTF_MOTION = GLTF
+for still, moving in MOTION.items():
+    assert still in GLTF_MOTION, still
+    GLTF_MOTION = GLTF_MOTION.replace(still, moving)
+
 FORMATS: dict[str, dict[str, str]] = {
     "NFF": {"scene.nff": NFF},
     "TOML": {"scene.toml": TOML},
     "OBJ": {"scene.obj": MESH.replace("mesh.mtl", "scene.mtl"), "scene.mtl": MTL},
     "glTF": {"scene.gltf": GLTF},
+    "glTF motion": {"scene.gltf": GLTF_MOTION},
     "TOML shot": {"scene.toml": SHOT, "mesh.obj": MESH, "mesh.mtl": MTL},
 }
 """The files of each format, the scene first."""

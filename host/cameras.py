@@ -24,6 +24,8 @@ from raygrid.node.frame import CAMERA
 Vector = tuple[float, float, float]
 
 DEFAULT_FOV = 40.0  # degrees, vertical: a moderate lens for cameras that no file describes
+# degrees: of a wider view the axis is so short beside its width that rounding takes it away
+WIDEST = 179.99
 FRAME_MARGIN = 1.08  # the box of a scene fills the picture but for this much
 
 
@@ -129,6 +131,10 @@ def look_at_everything(bounds: ArrayLike, up: Vector = (0.0, 1.0, 0.0)) -> Camer
 def _half_angle(angle: float) -> float:
     if not (math.isfinite(angle) and 0.0 < angle < 180.0):
         raise SceneError(f"the camera's angle is {angle:g} degrees, wanted more than 0 and less than 180")
+    if angle > WIDEST:
+        raise SceneError(
+            f"the camera's angle is {angle!r} degrees, wanted at most {WIDEST:g}: wider loses its own axis"
+        )
     return math.tan(math.radians(angle) / 2.0)
 
 
@@ -142,6 +148,9 @@ def _frame(eye: ArrayLike, at: ArrayLike, up: ArrayLike) -> tuple[Vector, Vector
     if not length > 1e-12 * float(np.abs(start).max()):
         raise SceneError(f"the camera looks from {_shown(start)} at that same point, wanted two different points")
     forward = view / length
+    largest = float(np.abs(above).max())
+    if largest > 0.0 and not 1e-100 < largest < 1e100:  # its square may be no number
+        above = np.ldexp(above, -math.frexp(largest)[1])
     tall = float(np.linalg.norm(above))
     sideways = np.cross(forward, above / tall) if tall > 0.0 else np.zeros(3)
     width = float(np.linalg.norm(sideways))

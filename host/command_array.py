@@ -43,6 +43,8 @@ def _status_lines(facts: Facts) -> list[str]:
         f"faults: {faults['count']:,}, resets: {facts['resets']:,}"
         + (f"; the last: {faults['last'][-1]['what']}" if faults["last"] else ""),
     ]
+    if facts["links"]["why"]:
+        lines.append(f"links: served by Python alone, which is slower ({facts['links']['why']})")
     refused = ", ".join(f"{count} {why}" for why, count in facts["refused"].items() if count)
     lines.append(f"clients: {facts['clients']}; refused: {refused or 'none'}")
     if facts["journal"]["trouble"]:

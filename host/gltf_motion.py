@@ -89,7 +89,8 @@ def _track(document: Document, sampler: dict[str, Any], path: str, where: str) -
             make_track(times, values.reshape(len(times), -1))
             return Spline(times, values.reshape(len(times), 3, -1)), float(times[-1])
         if path == "rotation":
-            values = values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-30)
+            length = np.linalg.norm(values, axis=1, keepdims=True)
+            values = np.where(length > 0.0, values / np.where(length > 0.0, length, 1.0), (0.0, 0.0, 0.0, 1.0))
         step = "step" if way == "STEP" else "linear"
         return make_track(times, values, step, turns=path == "rotation"), float(times[-1])
     except SceneError as error:

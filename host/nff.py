@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from raygrid.host.cameras import Camera, nff_camera
 from raygrid.host.scene import Scene
-from raygrid.host.scene_builder import SceneBuilder, colour, material, plural, read_bytes
+from raygrid.host.scene_builder import IORS, LEAST_IOR, MOST_IOR, SceneBuilder, colour, material, plural, read_bytes
 from raygrid.host.scene_finish import UNLIT
 from raygrid.host.scene_lights import Table, light_table, point_light
 from raygrid.host.scene_nff_words import GRAMMAR, NAMES, Words
@@ -163,8 +163,8 @@ def _fill_values(words: Words, entities: Ints) -> list[tuple[Mask, str]]:
             "a fill's colours, weights and shine must not be below 0",
         ),
         (
-            (data[:, 6] > 0.0) & (data[:, 7] <= 0.0),
-            "a transparent fill's index of refraction must be above 0",
+            (data[:, 6] > 0.0) & ((data[:, 7] < LEAST_IOR) | (data[:, 7] > MOST_IOR)),
+            f"a transparent fill's index of refraction must be {IORS}",
         ),
     ]
 

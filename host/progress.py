@@ -108,8 +108,8 @@ class Talk:
             return
         if kind not in self._told_compiling:
             self._told_compiling.add(kind)
-            kinds = f"one of {len(KINDS)} kinds, each once on this computer"
-            self._print(f"compiling the kernels of {kind}, {kinds}; this may take a minute")
+            which = f"kind {KINDS.index(kind) + 1} of {len(KINDS)}" if kind in KINDS else "of a kind of their own"
+            self._print(f"compiling the kernels of {kind} ({which}), once on this computer: a minute")
             self.phase("", total)
         if self._bar is not None:
             detail = f"{done} of {total}"

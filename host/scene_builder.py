@@ -25,6 +25,10 @@ from raygrid.node.surfaces import F64, MAX_MATERIALS, MAX_SURFACES, STRIDE, AnyK
 
 Table = NDArray[np.void]
 
+# Glass of diamond has 2.4, germanium 4, gold 0.2. Beyond these bounds nothing is known, and refraction loses its digits:
+# the direction is a difference of numbers as large as the index.
+LEAST_IOR, MOST_IOR = 0.001, 1000.0
+IORS = f"{LEAST_IOR:g} to {MOST_IOR:g}"
 # Coordinates beyond this are refused: areas are squared lengths and are squared again, which must not overflow.
 MAX_COORDINATE = 1e30
 # Vertices of polygons may leave the plane by this part of half the scene's longest edge, which is 1/2 to 1 in machine
@@ -104,6 +108,10 @@ class SceneBuilder:
         they may be rounded if there are too many. `apart`: they change, and are never one with equal ones."""
         if not all(np.isfinite(rows[name]).all() and (rows[name] >= 0.0).all() for name in MATERIAL.names or ()):
             raise SceneError(f"{self.where}: a material has a number that is not finite or below 0")
+        wild = rows["transmission"].any(axis=1) & ((rows["ior"] < LEAST_IOR) | (rows["ior"] > MOST_IOR))
+        if wild.any():
+            came = f"{rows['ior'][np.argmax(wild)]:g}"
+            raise SceneError(f"{self.where}: a material has the index of refraction {came}, wanted {IORS}")
         first = sum(len(part) for part in self._materials)
         self._materials.append(rows)
         self._baked.append(baked)

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from raygrid.host.scene_builder import Table, material
+from raygrid.host.scene_builder import IORS, LEAST_IOR, MOST_IOR, Table, material
 from raygrid.host.scene_gltf import Document
 from raygrid.host.scene_mtl import GREY
 from raygrid.host.textures import Texture, Wrap, read_picture
@@ -75,6 +75,8 @@ class Materials:
             passing, ior = 1.0 - float(base[3]), 1.0  # mere coverage does not bend light
         if any(row.get("emissiveFactor", ())) or "KHR_materials_unlit" in extensions:
             self._remarks.append(f"{name}: its own light left out")
+        if passing > 0.0 and ior > 0.0 and not LEAST_IOR <= ior <= MOST_IOR:
+            raise self._document.error(f"{name} has the index of refraction {ior:g}, wanted {IORS}")
         shaded = shading(base[:3], metal, rough, passing, ior, extensions.get("KHR_materials_specular", {}))
         if "baseColorTexture" not in pbr:
             return GltfMaterial(shaded)

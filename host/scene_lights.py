@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from raygrid.host.cameras import Camera
+from raygrid.node.errors import SceneError
 from raygrid.node.frame import DIRECTIONAL, LIGHT, POINT
 from raygrid.node.surfaces import F64
 
@@ -105,7 +106,11 @@ def exposed(lights: Table, point: F64, closest: float) -> Table:
 
 def _unit(vector: ArrayLike) -> F64:
     v = np.asarray(vector, np.float64)
-    length = float(np.linalg.norm(v))
-    if not (math.isfinite(length) and length > 0.0):
-        raise ValueError(f"a light's direction is {v.tolist()}, wanted one with a length")
-    return np.asarray(v / length)
+    largest = float(np.abs(v).max())
+    if not (math.isfinite(largest) and largest > 0.0):
+        raise SceneError(f"a light's direction is {v.tolist()}, wanted one with a length")
+    if (
+        not 1e-100 < largest < 1e100
+    ):  # its square may be no number: made about 1 by a power of two, which changes no digit
+        v = np.ldexp(v, -math.frexp(largest)[1])
+    return np.asarray(v / float(np.linalg.norm(v)))

@@ -19,7 +19,7 @@ from pydantic import (
     model_validator,
 )
 
-from raygrid.host.scene_builder import MAX_COORDINATE
+from raygrid.host.scene_builder import LEAST_IOR, MAX_COORDINATE, MOST_IOR
 
 MAX_SIDE = 65_535  # pixels
 MAX_DEPTH = 31  # five bits of a packet hold the depth
@@ -46,6 +46,7 @@ def _with_length(value: tuple[float, float, float]) -> tuple[float, float, float
 Number = Annotated[float, Strict(), Field(allow_inf_nan=False, ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
 NotBelow0 = Annotated[float, Strict(), Field(allow_inf_nan=False, ge=0.0, le=MAX_COORDINATE)]
 Above0 = Annotated[float, Strict(), Field(allow_inf_nan=False, gt=0.0, le=MAX_COORDINATE)]
+Ior = Annotated[float, Strict(), Field(allow_inf_nan=False, ge=LEAST_IOR, le=MOST_IOR)]
 NotZero = Annotated[Number, AfterValidator(_not_zero)]
 Whole = Annotated[int, Strict()]
 Flag = Annotated[bool, Strict()]
@@ -172,7 +173,7 @@ class MaterialKey(Key):
     shine: NotBelow0 | None = None
     specular: Weight | None = None
     transmission: Weight | None = None
-    ior: Above0 | None = None
+    ior: Ior | None = None
 
 
 class Material(Table):
@@ -184,7 +185,7 @@ class Material(Table):
     shine: NotBelow0 = 50.0
     specular: Weight = (0.0, 0.0, 0.0)
     transmission: Weight = (0.0, 0.0, 0.0)
-    ior: Above0 = 1.5
+    ior: Ior = 1.5
     rule: Annotated[list[Number], Field(max_length=8)] | None = None
     keys: Annotated[list[MaterialKey], AfterValidator(_ascending)] = Field(default_factory=list)
 

@@ -25,6 +25,7 @@ from raygrid.host.service_files import (
 )
 from raygrid.host.worker import Event, Options, Task, Worker
 from raygrid.node.errors import ArrayError
+from raygrid.node.native import why_python
 
 if TYPE_CHECKING:
     from raygrid.host.requests import Cancel, Down, Follow, Probe, Request, Submit
@@ -373,6 +374,7 @@ class Service:
             "frames": {name: self._counts[name] for name in ("done", "skipped", "failed")},
             "floods": self._worker.keeper.floods,
             "increments": self._worker.keeper.increments,
+            "links": {"served_by": "python" if why_python() else "compiled", "why": why_python()},
             "resets": self._counts["resets"],
             "faults": {"count": self._fault_count, "last": list(self._faults)},
             "clients": len(self._door.clients),

@@ -11,6 +11,7 @@ import numpy as np
 from raygrid.emulator.driver import Driver, Progress
 from raygrid.host.job import Job
 from raygrid.host.outputs import write_whole
+from raygrid.node.native import why_python
 from raygrid.node.packets import PacketKind
 from raygrid.node.pixels import UNIT
 
@@ -47,6 +48,7 @@ def make_stats(job: Job, driver: Driver, progress: Progress, seconds: dict[str, 
         "depth": frame.depth,
         "unit": int(UNIT),
         "total": total,
+        "links": served_by([node["served_by"] for node in nodes]),
         "waves": driver.waves,
         "most_in_flight": driver.most_in_flight,
         "balance": max(busy) / float(np.mean(busy)) if sum(busy) > 0.0 else 1.0,
@@ -56,6 +58,16 @@ def make_stats(job: Job, driver: Driver, progress: Progress, seconds: dict[str, 
     if "machine" in nodes[0]:
         stats["ticks"] = max(node["machine"]["ended_tick"] for node in nodes)
     return stats
+
+
+def served_by(ways: list[str]) -> dict[str, Any]:
+    """What serves the links of nodes while they trace, compiled code or Python alone, and why it is Python."""
+    if all(way == "compiled" for way in ways):
+        return {"served_by": "compiled", "why": None}
+    return {
+        "served_by": "python",
+        "why": why_python() or "links with faults, of an array that keeps time, or in memory",
+    }
 
 
 def _sum_kinds(nodes: list[dict[str, Any]], name: str) -> dict[str, int]:

@@ -192,7 +192,9 @@ ERRORS = {
     VIEW + "c 0 0 1 0 0 0 2 0": "x.nff, line 8: a cone's radii must not both be 0",
     VIEW + "c 0 0 1 1 0 0 2 -1": "x.nff, line 8: a cone's radii must have one sign",
     VIEW + "f 1 1 -1 1 0 0 0 0\n" + BALL: "x.nff, line 8: a fill's colours, weights and shine must not be below 0",
-    VIEW + "f 1 1 1 1 0 0 0.5 0\n" + BALL: "x.nff, line 8: a transparent fill's index of refraction must be above 0",
+    VIEW
+    + "f 1 1 1 1 0 0 0.5 0\n"
+    + BALL: "x.nff, line 8: a transparent fill's index of refraction must be 0.001 to 1000",
     VIEW + "l 1 1 1 1 -1 1\n" + BALL: "x.nff, line 8: a light's colour must not be below 0",
     VIEW + "b 1 -1 1\n" + BALL: "x.nff, line 8: the background's colour must not be below 0",
     VIEW + "b 1 1 1 b 1 1 1\n" + BALL: "x.nff, line 8: came a second background, wanted one",

@@ -181,7 +181,7 @@ ERRORS = {
     BALL + 'material = "gold"\n[materials.a]\n[materials.b]': "surfaces[0].material is 'gold', wanted one of: a, b",
     BALL + "[materials.a]\ncolour = [1, 1, -1]": "line 6: materials.a.colour[2] is -1, wanted greater than",
     BALL + "[materials.a]\nspecular = 'x'": "line 6: materials.a.specular is 'x', wanted a list",
-    BALL + "[materials.a]\nior = 0": "line 6: materials.a.ior is 0, wanted greater than 0",
+    BALL + "[materials.a]\nior = 0": "line 6: materials.a.ior is 0, wanted greater than or equal to 0.001",
     BALL + "[image]\nwidth = 0\nheight = 1": "line 6: image.width is 0, wanted greater than or equal to 1",
     BALL + "[image]\nwidth = 10": "line 5: image is {'width': 10}, wanted both width and height, or neither",
     BALL + "[image]\ndepth = 32": "line 6: image.depth is 32, wanted less than or equal to 31",

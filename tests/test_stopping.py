@@ -52,7 +52,7 @@ def test_control_c_ends_everything(moment, arguments, tmp_path):
 def test_control_c_while_kernels_are_compiled(tmp_path):
     """In the first run on a computer, which says so."""
     with Terminal([RAYGRID, *LONG], tmp_path, {"RAYGRID_CACHE": str(tmp_path / "cache")}) as terminal:
-        terminal.wait_for("compiling the kernels, once on this computer")
+        terminal.wait_for(r"compiling the kernels of nodes \(kind 1 of 4\), once on this computer")
         terminal.wait_for(r"compiling \w+ .*\d+ of \d+")
         terminal.press("\x03")
         assert terminal.wait_end() == 130
