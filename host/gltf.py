@@ -262,7 +262,7 @@ def node_matrix(row: dict[str, Any]) -> F64:
     if "matrix" in row:
         matrix = np.array(row["matrix"], np.float64).reshape(4, 4).T
     else:
-        x, y, z, w = np.array(row.get("rotation", (0, 0, 0, 1)), np.float64)
+        x, y, z, w = np.array(row.get("rotation", (0, 0, 0, 1)), np.float64).tolist()
         norm = math.sqrt(x * x + y * y + z * z + w * w) or 1.0
         x, y, z, w = x / norm, y / norm, z / norm, w / norm
         turn = np.array(

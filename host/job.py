@@ -124,11 +124,17 @@ def make_frame(scene: Scene, world: World, settings: Settings) -> Frame:
     if not highlights:
         materials["highlight"] = 0.0
     lights = _machine_lights(scene.lights, world)
-    background = tuple(float(np.float32(value)) for value in scene.background)
+    with np.errstate(over="ignore"):  # as bright as can be
+        background = tuple(float(np.float32(value)) for value in scene.background)
+    camera, of_lights = _machine_camera(scene.camera.table(width, height), world), light_table(lights)
+    tables = {"camera": camera, "background": np.array(background), "lights": of_lights}
+    for what, table in tables.items():
+        if not np.isfinite(table).all():
+            raise SceneError(f"{scene.name}: a number of the {what} is not finite, or becomes so at the scene's scale")
     return Frame(
-        _machine_camera(scene.camera.table(width, height), world),
+        camera,
         _with_rules(material_table(materials), scene.rules),
-        light_table(lights),
+        of_lights,
         len(lights),
         (background[0], background[1], background[2]),
         width,

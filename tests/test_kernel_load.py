@@ -8,79 +8,11 @@ import subprocess
 import sys
 
 import pytest
+from support_small_kernels import BOTH, WANTED, SmallKernels
 
 from raygrid.host.hidden import hidden
 from raygrid.node.kernel_load import can_load_alone
 
-MODULE = """
-import numpy as np
-
-from raygrid.node.compiled import kernel, lean, part
-
-
-@part
-def double(x):
-    return 2.0 * x
-
-
-@lean
-def total(values):
-    sum = 0.0
-    for k in range(len(values)):
-        sum += double(values[k])
-    return sum
-
-
-@kernel
-def doubled(values):
-    made = np.empty(len(values))
-    for k in range(len(values)):
-        if values[k] < 0.0:
-            raise ValueError("a value below 0")
-        made[k] = double(values[k])
-    return made, total(values)
-
-
-@lean
-def third(values):
-    return values[2]
-
-
-@kernel
-def later(values):
-    return doubled(values)[1] + total(values) + third(values)
-"""
-# Counts how often the compiler is made ready, and what is compiled.
-RUN = """
-import json, sys
-from numba.core import event
-from numba.core.base import BaseContext
-
-ready, compiled = [], []
-refresh = BaseContext.refresh
-BaseContext.refresh = lambda self: (ready.append(1), refresh(self))[1]
-
-
-class Compilations(event.Listener):
-    def on_start(self, event):
-        function = event.data["dispatcher"].py_func
-        if function.__module__ == "small":  # and not a part of numba
-            compiled.append(function.__name__)
-
-    def on_end(self, event):
-        pass
-
-
-{before}
-import numpy as np
-import small
-values = np.array([1.0, 2.0, 3.0])
-with event.install_listener("numba:compile", Compilations()):
-    result = [{calls}]
-print(json.dumps(dict(result=result, ready=len(ready), compiled=sorted(set(compiled)))))
-"""
-BOTH = "small.doubled(values)[0].tolist(), small.doubled(values)[1], small.total(values)"
-WANTED = [[2.0, 4.0, 6.0], 12.0, 12.0]
 AN_ERROR = """
 def told(values):
     try:
@@ -93,21 +25,8 @@ def told(values):
 @pytest.fixture
 def run(tmp_path):
     """Runs calls of the small kernels in a new process, all with the same cache."""
-    (tmp_path / "small.py").write_text(MODULE)
-
-    def run(calls=BOTH, before="", **variables):
-        env = os.environ | {"RAYGRID_CACHE": str(tmp_path / "cache"), "PYTHONPATH": str(tmp_path)} | variables
-        told = subprocess.run(
-            [sys.executable, "-c", RUN.format(calls=calls, before=before)],
-            capture_output=True,
-            text=True,
-            timeout=250,
-            env=env,
-        )
-        assert told.returncode == 0, told.stderr
-        return json.loads(told.stdout)
-
-    return run
+    small = SmallKernels(tmp_path)
+    return lambda *arguments, **variables: small.run(*arguments, **variables)[0]
 
 
 def test_this_numba_is_one_of_which_kernels_are_loaded_alone():
@@ -186,7 +105,7 @@ def test_without_a_directory_of_ours_numba_chooses_one(run):
 
 
 def test_where_nothing_can_be_kept_everything_is_compiled_anew(run):
-    before = "from numba.core.caching import CacheImpl\nCacheImpl._locator_classes = []"
+    before = "import os\nmkdir = os.mkdir\ndef refuse(*_, **__): raise OSError(30, 'Read-only file system')\nos.mkdir = refuse"
     for _ in range(2):
         again = run(f"{BOTH}, small.total.stats.cache_path", before)
         assert again["result"] == [*WANTED, os.devnull]
