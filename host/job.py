@@ -26,6 +26,7 @@ from raygrid.node.tables import Frame, light_table, material_table
 DEFAULT_SIZE = (512, 512)
 DEFAULT_DEPTH = 5  # as the Standard Procedural Databases ask
 MAX_PIXELS = 1 << 28
+FARTHEST = 1e9  # half edges of the world box: rounding there, some 1e-7 of one, is far below render.SURELY_INSIDE
 
 
 @dataclass(frozen=True)
@@ -131,6 +132,7 @@ def make_frame(scene: Scene, world: World, settings: Settings) -> Frame:
     for what, table in tables.items():
         if not np.isfinite(table).all():
             raise SceneError(f"{scene.name}: a number of the {what} is not finite, or becomes so at the scene's scale")
+    _check_distance(scene.name, camera, width, height)
     return Frame(
         camera,
         _with_rules(material_table(materials), scene.rules),
@@ -144,6 +146,17 @@ def make_frame(scene: Scene, world: World, settings: Settings) -> Frame:
         float(least),
         bool(np.any(lights["cos_disc"] <= 1.0)) if len(lights) else False,
     )
+
+
+def _check_distance(name: str, camera: NDArray[np.float64], width: int, height: int) -> None:
+    """Raise SceneError for rays that begin so far away that rounding moves them by more than nodes and host allow for."""
+    ends = camera[0] + np.array([[0.0], [width - 1.0]]) * camera[1], camera[0] + (height - 1.0) * camera[2]
+    farthest = float(np.abs(np.concatenate((ends[0], ends[1][None]))).max())
+    if farthest > FARTHEST:
+        raise SceneError(
+            f"{name}: the camera's rays begin {farthest:.3g} times the scene's half size away, wanted at most {FARTHEST:g}: "
+            "farther away they have no digits left to tell one from another"
+        )
 
 
 def _with_rules(materials: NDArray[np.float64], rules: NDArray[np.float64] | None) -> NDArray[np.float64]:
