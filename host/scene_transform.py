@@ -34,7 +34,7 @@ def moved(batch: Batch, matrix: F64, shift: ArrayLike) -> F64:
         return _reversed(points, batch.starts) if mirrored else points
     if batch.kind in (Kind.TRIANGLE, Kind.SMOOTH):
         corners = data[:, :9].reshape(-1, 3, 3) @ matrix.T + offset
-        normals = data[:, 9:].reshape(len(data), -1, 3) @ (np.linalg.inv(matrix) if data.shape[1] > 9 else matrix)
+        normals = data[:, 9:].reshape(len(data), -1, 3) @ (_inverse(matrix) if data.shape[1] > 9 else matrix)
         turn = (0, 2, 1) if mirrored else (0, 1, 2)
         parts = [part[:, turn].reshape(len(data), -1) for part in (corners, normals) if part.size]
         return np.concatenate(parts, axis=1) if parts else data
@@ -44,6 +44,18 @@ def moved(batch: Batch, matrix: F64, shift: ArrayLike) -> F64:
         result[:, first : first + 3] = data[:, first : first + 3] @ matrix.T + offset
         result[:, first + 3] = data[:, first + 3] * scale
     return result
+
+
+def _inverse(matrix: F64) -> F64:
+    """The inverse, by which normals turn. Raises SceneError if it has none, as of a scale next to nothing."""
+    with np.errstate(all="ignore"):
+        try:
+            found = np.linalg.inv(matrix)
+        except np.linalg.LinAlgError:
+            found = np.full((3, 3), np.nan)
+    if not np.isfinite(found).all():
+        raise SceneError("its scale is so small along an axis that normals cannot be turned with it")
+    return np.asarray(found)
 
 
 def _reversed(points: F64, starts: np.ndarray[tuple[int], np.dtype[np.int64]]) -> F64:

@@ -167,8 +167,9 @@ def _eye_ray(camera: list[Lanes], x: Lanes, y: Lanes) -> tuple[list[Lanes], list
         for row in (0, 9)
     )
     squared = u * u + v * v + w * w
-    has_one, scale = squared >= SHORTEST * SHORTEST, 1.0 / squared.root()
-    return origin, [has_one.choose(one * scale, one.every(other)) for one, other in ((u, 0.0), (v, 0.0), (w, 1.0))]
+    has_one = squared >= SHORTEST * SHORTEST
+    scale = has_one.choose(1.0 / squared.root(), squared.every(0.0))
+    return origin, [u * scale, v * scale, has_one.choose(w * scale, w.every(1.0))]
 
 
 def _entry(origin: list[Lanes], direction: list[Lanes], step: list[Lanes]) -> tuple[Lanes, list[Lanes], list[Lanes]]:

@@ -69,7 +69,7 @@ def coordinate(k, step):
 def nearest(x, step):
     """The lattice coordinate nearest to a number, inside the world box."""
     k = math.floor(x / step + 0.5) + HALF
-    return np.int64(min(k if k >= 0.0 else 0.0, LATTICE - 1.0))  # what is no number lies at 0, too
+    return np.int64(min(k if k > 0.0 else 0.0, LATTICE - 1.0))  # what is no number lies at 0, too
 
 
 @part

@@ -34,11 +34,9 @@ from .tables import (
 
 @part
 def unit(x, y, z):
-    """The unit vector along (x, y, z); of what is too short to have a direction, or is none, zero."""
+    """The unit vector along (x, y, z); of what is too short to have a direction, zero."""
     squared = x * x + y * y + z * z
-    if not squared >= SHORTEST * SHORTEST:
-        return 0.0, 0.0, 0.0
-    scale = 1.0 / np.sqrt(squared)
+    scale = 1.0 / np.sqrt(squared) if squared >= SHORTEST * SHORTEST else 0.0
     return x * scale, y * scale, z * scale
 
 
@@ -137,12 +135,14 @@ def refract(d, n, cosine, ratio):
     if k < 0.0:
         return False, d
     along = ratio * cosine - np.sqrt(k)
-    x, y, z = unit(ratio * d[0] + along * n[0], ratio * d[1] + along * n[1], ratio * d[2] + along * n[2])
+    x, y, z = ratio * d[0] + along * n[0], ratio * d[1] + along * n[1], ratio * d[2] + along * n[2]
+    squared = x * x + y * y + z * z
     if (
-        x == 0.0 and y == 0.0 and z == 0.0
-    ):  # a ratio so large that the sum cancels, which it does seen head on: straight on
+        not squared >= SHORTEST * SHORTEST
+    ):  # a ratio so large that the sum cancels, as it does seen head on: straight on
         return True, d
-    return True, (x, y, z)
+    scale = 1.0 / np.sqrt(squared)
+    return True, (x * scale, y * scale, z * scale)
 
 
 @part

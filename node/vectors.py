@@ -223,7 +223,7 @@ def most(first: Lanes, *others: Lanes) -> Lanes:
 
 def within(lanes: Lanes, low: float, high: float) -> Lanes:
     """Numbers, or the nearest to them from low to high; what is no number becomes the low one, as in `lattice.nearest`."""
-    raised = (lanes >= low).choose(lanes, lanes.every(low))
+    raised = (lanes > low).choose(lanes, lanes.every(low))  # so told, it is one instruction
     return (raised > high).choose(high, raised)
 
 

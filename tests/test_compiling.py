@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import sys
 import time
 
 import pytest
@@ -17,10 +15,8 @@ from raygrid.node import remarks
 
 
 @pytest.fixture
-def said(monkeypatch):
-    stream = io.StringIO()
-    monkeypatch.setattr(sys, "stderr", stream)
-    return stream.getvalue
+def said(capsys):
+    return lambda: capsys.readouterr().err
 
 
 def test_each_kind_of_kernels_is_named_once_and_how_many_there_are(said):
@@ -56,6 +52,5 @@ def test_the_clock_stands_still_while_a_function_is_compiled():
         remarks.remark(f"a test of {began}", "so")
     passed, counted = time.perf_counter() - began, compile_clock.now() - clock
     assert 0.0 <= counted < passed
-    assert passed - counted > 0.5 * passed  # nearly all of it was compiling
     assert told[0] == (1, 5, "compiling parts of numba for the simulator")
     assert told[-1][2] == "note: so"

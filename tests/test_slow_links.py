@@ -10,11 +10,11 @@ import sys
 import numpy as np
 import pytest
 from support_cli import TINY, as_process, warm_kernels
-from support_service import name
+from support_service import lasting
 
 from raygrid.node import native
 
-__all__ = ["name", "warm_kernels"]
+__all__ = ["warm_kernels"]
 SMALL = ("--size", "24x18", "--array", "2x1x1", "-q")
 
 
@@ -34,18 +34,13 @@ def test_by_request_python_serves_the_links_and_stats_say_so(tmp_path):
 
 
 @pytest.mark.usefixtures("warm_kernels")
-def test_status_says_so(name, monkeypatch):
+def test_status_says_so(tmp_path, monkeypatch):
     monkeypatch.setenv("RAYGRID_LINKS", "python")
-    assert as_process("up", "--array", "1x1x1", "--name", name, "-q").code == 0
-    try:
-        assert (
-            "links: served by Python alone, which is slower (RAYGRID_LINKS=python asks"
-            in as_process("status", "--name", name).out
-        )
+    with lasting(tmp_path, "slow") as name:
+        told = as_process("status", "--name", name).out
+        assert "links: served by Python alone, which is slower (RAYGRID_LINKS=python asks for it)\n" in told
         facts = json.loads(as_process("status", "--name", name, "--json").out)
         assert facts["links"] == {"served_by": "python", "why": "RAYGRID_LINKS=python asks for it"}
-    finally:
-        assert as_process("down", "--name", name).code == 0
 
 
 @pytest.mark.parametrize(
