@@ -113,3 +113,19 @@ def test_a_view_so_wide_that_it_loses_its_axis_is_refused(tmp_path):
 def test_a_light_has_a_direction_however_long_the_vector_is(size):
     towards = directional_light((0.0, 0.6 * size, 0.8 * size), 1.0)["place"][0]
     assert np.linalg.norm(towards) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("scale", ["5e-324", "1e-310"])
+def test_a_mesh_shrunk_to_nothing_is_one_sentence(scale, tmp_path):
+    lines = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1//1 2//1 3//1\n"
+    (tmp_path / "a.obj").write_text(lines)
+    (tmp_path / "a.toml").write_text(f'[[meshes]]\nfile = "a.obj"\nscale = {scale}\n')
+    with pytest.raises(SceneError, match=r"a\.toml, line 2: meshes\[0\]\.file cannot be placed: its scale is so small"):
+        load_scene(tmp_path / "a.toml")
+
+
+def test_a_camera_beyond_all_digits_is_one_sentence(tmp_path):
+    path = tmp_path / "far.nff"
+    path.write_text((VIEW.format(angle=40) + BOX).replace("from 0 0 5", "from 0 0 5e10"))
+    with pytest.raises(SceneError, match=r"far\.nff: the camera's rays begin 5e\+10 times .* wanted at most 1e\+09"):
+        rendered(load_scene(path), size=(3, 3))
