@@ -67,6 +67,7 @@ def _frame_options(command: Command) -> Command:
         click.option("--highlights/--no-highlights", default=None, help="Phong highlights, as for render."),
         click.option("--split", type=click.Choice(["balanced", "uniform"]), default="balanced", show_default=True,
                      help="Where the planes between processors lie, as for render."),
+        click.option("--frame", type=Number(1, 1_000_000), metavar="N", help="The frame of a shot.  [default: 1]"),
     )
     for option in reversed(options):
         command = option(command)
@@ -80,7 +81,8 @@ def _frame_options(command: Command) -> Command:
 @_frame_options
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 def trace(
-    scene: str, shape: tuple[int, int, int], pixel: tuple[int, int], sample: int | None, as_json: bool, **settings: Any
+    scene: str, shape: tuple[int, int, int], pixel: tuple[int, int], sample: int | None, as_json: bool,
+    frame: int | None, **settings: Any
 ) -> None:
     """Print the tree of rays of one pixel: where each went, what it hit, what came back.
 
@@ -88,7 +90,7 @@ def trace(
     """
     from raygrid.host.command_trace import Request, run_trace
 
-    run_trace(Request(scene, shape, pixel, sample, as_json, settings))
+    run_trace(Request(scene, shape, pixel, sample, as_json, frame, settings))
 
 
 @click.command(epilog=JAM_EXAMPLES)
@@ -100,7 +102,8 @@ def trace(
 @_frame_options
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 def jam(
-    scene: str, shape: tuple[int, int, int], room: int, budget: int | None, as_json: bool, **settings: Any
+    scene: str, shape: tuple[int, int, int], room: int, budget: int | None, as_json: bool, frame: int | None,
+    **settings: Any
 ) -> None:
     """Let a naive machine jam: finite buffers, no admission. Then the same load with admission.
 
@@ -109,7 +112,7 @@ def jam(
     """
     from raygrid.host.command_jam import Request, run_jam
 
-    run_jam(Request(scene, shape, room, budget, as_json, settings))
+    run_jam(Request(scene, shape, room, budget, as_json, frame, settings))
 
 
 @click.command(epilog=PROBE_EXAMPLES)

@@ -26,6 +26,7 @@ class Request:
     search    list, tree, or None: as the cost model says
     band      low and high costs, too
     outputs, stats, table, plots   paths to write, plots being a folder
+    frame     of a shot, None for its first
     settings  of `raygrid.host.job.Settings`
     """
 
@@ -40,6 +41,7 @@ class Request:
     plots: str | None
     transfer: str
     quiet: bool
+    frame: int | None
     settings: dict[str, Any]
 
 
@@ -57,17 +59,21 @@ def run_simulate(request: Request) -> None:
 def _simulate(request: Request, talk: Talk) -> Simulated:
     talk.phase(f"reading {request.scene}")
     from raygrid.host.cost_models import load_cost_model
-    from raygrid.host.job import Settings, make_job
+    from raygrid.host.job import Settings
     from raygrid.host.load import load_scene
+    from raygrid.host.shot import frame_told
+    from raygrid.host.shot_jobs import still_job
 
     cost = load_cost_model(request.cost)
     scene = load_scene(request.scene)
     for remark in scene.remarks:
         talk.remark(remark)
+    if told_frame := frame_told(scene, request.frame):
+        talk.remark(told_frame)
     with compiling(talk):
         from raygrid.host.simulate import simulate_job
 
-        job = make_job(scene, request.shape, Settings(**request.settings))
+        job = still_job(scene, request.shape, Settings(**request.settings), request.frame)
         for output in request.outputs:
             check_side(output, job.frame.width, job.frame.height)
         talk.phase("simulating")

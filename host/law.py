@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 
 from raygrid.emulator.simulator import make_model, trace
 from raygrid.host.cost_models import CostModel
-from raygrid.host.job import Settings, make_job
+from raygrid.host.job import Settings
 from raygrid.host.scene import Scene
+from raygrid.host.shot_jobs import still_job
 from raygrid.node.errors import OutputError
 from raygrid.node.packets import PRIMARY
 from raygrid.node.tables import BORN, SENT
@@ -234,7 +235,7 @@ def _point(
     search: str,
     settings: dict[str, Any],
 ) -> Point:
-    job = make_job(scene, shape, Settings(size=size, **{"split": "uniform", **settings}))
+    job = still_job(scene, shape, Settings(size=size, **{"split": "uniform", **settings}))
     model = make_model(job.space, job.surfaces, job.frame, search)
     phase, _ = trace(model, cost.prices("middle", search), cost.list_ticks("middle", search, model.held))
     busy = phase.column(BUSY) / max(phase.ticks, 1)

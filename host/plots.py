@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 FILES = ("busy.png", "links.png", "time.png")
 
 
-def pyplot() -> Any:
-    """matplotlib without a display. Raises OutputError if it is not installed."""
+def pyplot(extra: str = "plots") -> Any:
+    """matplotlib without a display. Raises OutputError if it is not installed; extra: that brings all that is wanted."""
     try:
         import matplotlib
     except ImportError:
-        raise OutputError("plots need matplotlib: pip install 'raygrid[plots]'") from None
+        raise OutputError(f"plots need matplotlib: pip install 'raygrid[{extra}]'") from None
     matplotlib.use("Agg")
     import matplotlib.pyplot
 

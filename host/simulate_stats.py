@@ -38,6 +38,7 @@ def make_stats(done: Simulated) -> dict[str, Any]:
     stats: dict[str, Any] = {
         "version": VERSION,
         "scene": job.scene.name,
+        "frame": job.number,
         "surfaces": len(job.surfaces),
         "array": list(shape),
         "split": job.settings.split,

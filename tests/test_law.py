@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from support_timed import job_of, scene_of, simulated
 
 from raygrid.host.cost_models import load_cost_model
 from raygrid.host.law import KINDS, Point, fit, law, shape_of, sweep, view_axis
+from raygrid.host.plots import pyplot
 from raygrid.node.errors import OutputError
 
 
@@ -150,6 +152,14 @@ def test_command(tmp_path):
     assert "A + B n + C R / n^2" in text
     assert "| tiny.nff | square |" in text
     assert (tmp_path / "law" / "law_tiny.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_without_matplotlib_the_law_names_its_own_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(OutputError, match=r"raygrid\[law\]"):
+        pyplot("law")
+    with pytest.raises(OutputError, match=r"raygrid\[plots\]"):
+        pyplot()
 
 
 def test_bad_edges_and_folders_are_one_line(tmp_path):
