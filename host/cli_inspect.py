@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import click
@@ -25,6 +26,9 @@ Examples:
   raygrid probe
   raygrid probe --name big --rate 2 --json
   raygrid probe --record probes.jsonl --prometheus 9400
+  raygrid probe --replay probes.jsonl --speed 0.2
+  raygrid probe --replay probes.jsonl --worst
+  raygrid probe --replay probes.jsonl --table
   raygrid probe --replay probes.jsonl --chrome-trace trace.json
 
 docs/probes.md says what samples mean, and what they cost.
@@ -118,6 +122,10 @@ def jam(
 @click.command(epilog=PROBE_EXAMPLES)
 @click.option("--name", type=ArrayName(), metavar="NAME", help="Of the array that is up.  [default: default]")
 @click.option("--replay", type=click.Path(), metavar="FILE", help="Show a recording instead of an array.")
+@click.option("--speed", type=Number(0.001, 1e9), metavar="X",
+              help="Play the recording X times as fast as it was.  [default: 1 on a terminal, unless files are written]")
+@click.option("--worst", is_flag=True, help="Show the recording's worst moment: when most packets waited in the array.")
+@click.option("--table", is_flag=True, help="At the end, all nodes by the share of a processor that they used.")
 @click.option("--rate", type=Number(0.01, 100.0), default=10.0, show_default=True, metavar="HZ",
               help="How often each node tells how it stands.")
 @click.option("--for", "seconds", type=Number(0.0, 1e9), metavar="SECONDS", help="End after this time.  [default: at Ctrl-C]")
@@ -132,9 +140,17 @@ def probe(**options: Any) -> None:
     """
     if options["replay"] is not None and (options["name"] is not None or options["prometheus"] is not None):
         raise click.UsageError("--replay came with --name or --prometheus, wanted a recording or an array")
+    if options["replay"] is None and (options["speed"] is not None or options["worst"]):
+        raise click.UsageError("--speed or --worst came without --replay, wanted a recording")
+    if options["worst"] and (options["table"] or options["speed"] is not None):
+        raise click.UsageError("--worst came with --table or --speed, wanted one of them")
     from raygrid.host.command_probe import Request, run_probe
 
-    run_probe(Request(**options))
+    request = Request(**options)
+    written = options["record"] or options["chrome_trace"]
+    if request.replay is not None and request.speed is None and request.is_drawn and not written:
+        request = replace(request, speed=1.0)
+    run_probe(request)
 # fmt: on
 
 

@@ -159,7 +159,7 @@ def still(scene: Scene, frame: int) -> Scene:
 
 
 def frame_told(scene: Scene, frame: int | None, choice: bool = True) -> str | None:
-    """Which frame of a shot a command takes that takes one, in words; None for a still scene or a frame that is none. choice: it has --frame."""
+    """Which frame of a shot a command takes that takes one, in words; None for a still scene. choice: whether it has --frame."""
     if scene.shot is None or (frame or 1) > scene.shot.frames:
         return None
     another = ", as --frame names no other" if choice and frame is None and scene.shot.frames > 1 else ""
