@@ -174,8 +174,10 @@ def _figure(scene: str, fits: dict[str, Fit]) -> Any:
     axes[1, 0].set_title("square and cubic", fontsize=9)
     axes[1, 1].set_title("efficiency: T(1) / (processors T)", fontsize=9)
     for axis in axes.flat:
-        axis.set_xscale("log")
+        axis.set_xscale("log", base=2)
         axis.set_yscale("log")
+        for side in (axis.xaxis, axis.yaxis):
+            side.set_major_formatter("{x:g}")  # 16 and not 2^4, 0.1 and not 10^-1
         axis.legend(fontsize=7)
     for axis in axes.flat[:3]:
         axis.set_ylabel("machine seconds")

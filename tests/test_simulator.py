@@ -21,6 +21,7 @@ from raygrid.emulator.limits import Bound
 from raygrid.emulator.memory_array import MemoryArray
 from raygrid.emulator.shared_tables import ordered
 from raygrid.emulator.simulator import BOOKS_BYTES, NODE_BYTES
+from raygrid.host import plots
 from raygrid.host.command_simulate import in_words, summary
 from raygrid.host.cost_models import load_cost_model
 from raygrid.host.render import render_job
@@ -237,6 +238,23 @@ def test_an_array_beyond_memory_is_refused_before_anything_is_worked_out(monkeyp
             TooLarge, match=r"a simulated 30x30x30 array .* leaves \d+ MB; largest that fits: 2\dx2\dx2\d"
         ):
             simulated(job, "8086", **options)
+
+
+@pytest.mark.parametrize("shape", [(4, 3, 2), (12, 1, 1), (1, 1, 1), (2, 2, 12)])
+def test_heat_maps_have_axes_with_the_numbers_of_processors(shape):
+    figure = plots._layers(np.arange(float(np.prod(shape))), shape, "title", "scale")
+    drawn = [axis for axis in figure.axes if axis.get_title()]
+    assert [axis.get_title() for axis in drawn] == [f"z = {z}" for z in range(shape[2])]
+    assert drawn[0].get_ylabel() == "y"
+    assert drawn[-1].get_xlabel() == "x"
+    for axis in drawn:
+        for ticks, ends, side in ((axis.get_xticks(), axis.get_xlim(), 0), (axis.get_yticks(), axis.get_ylim(), 1)):
+            seen = [tick for tick in ticks if ends[0] <= tick <= ends[1]]
+            assert seen
+            assert all(tick == int(tick) and 0 <= tick < shape[side] for tick in seen)
+    width, height = figure.get_size_inches()
+    assert max(width / height, height / width) < 8.0
+    plots.pyplot().close(figure)
 
 
 @pytest.mark.parametrize(
