@@ -45,7 +45,12 @@ def run_jam(request: Request) -> None:
     budget = max(1, free) if request.budget is None else request.budget
     naive, admitted = _run(job, request.room, None), _run(job, request.room, budget)
     if request.as_json:
-        told = {"scene": scene.name, "frame": job.number, "array": list(request.shape), "surely_free_budget": free}
+        told: dict[str, Any] = {
+            "scene": scene.name,
+            "frame": job.number,
+            "array": list(request.shape),
+            "surely_free_budget": free,
+        }
         told |= {"without_admission": asdict(naive), "with_admission": asdict(admitted)}
         write_result(json.dumps(told))
         return

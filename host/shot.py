@@ -154,8 +154,10 @@ def still(scene: Scene, frame: int) -> Scene:
         if len(rows):
             data[rows] = moved_rows(batch.kind, data[rows], pose.motions[owner[rows]])
         batches.append(Batch(batch.kind, batch.ids, batch.materials, data, batch.starts))
-    parts = {"camera": pose.camera, "lights": pose.lights, "materials": pose.materials}
-    return replace(scene, surfaces=SurfaceSet(tuple(batches)), shot=None, **parts)
+    surfaces = SurfaceSet(tuple(batches))
+    return replace(
+        scene, surfaces=surfaces, camera=pose.camera, lights=pose.lights, materials=pose.materials, shot=None
+    )
 
 
 def frame_told(scene: Scene, frame: int | None, choice: bool = True) -> str | None:
