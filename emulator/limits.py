@@ -118,20 +118,45 @@ def check_fits(
     resources        what there is; read from this computer if None
     """
     found = read_resources() if resources is None else resources
+    _check(f"a {_shape_text(shape)} array", "", shape, _demands(found, bytes_per_node, surface_bytes))
+
+
+def check_simulated_fits(
+    shape: Shape, samples: int, *, bytes_per_node: int, fixed_bytes: int, memory: Bound | None = None
+) -> None:
+    """Raise TooLarge unless a simulation of an array of this shape fits into memory, as `check_fits` does.
+
+    samples          of the frame, for the message; what they take is a part of `fixed_bytes`
+    bytes_per_node   of a node that holds no surface
+    fixed_bytes      whatever the number of nodes
+    memory           what there is; read from this computer if None
+    """
+    there = read_memory() if memory is None else memory
+    demand = Demand("of memory", fixed_bytes, bytes_per_node, there, in_bytes=True)
+    what = f"a simulated {_shape_text(shape)} array"
+    _check(what, f" and {samples} sample{'s' * (samples != 1)}", shape, (demand,))
+
+
+def _check(what: str, beside: str, shape: Shape, demands: tuple[Demand, ...]) -> None:
+    """Raise TooLarge unless there is enough of everything; beside: what is needed beside the processors, in words."""
     nodes = prod(shape)
-    shortest = min(_demands(found, bytes_per_node, surface_bytes), key=Demand.most_nodes)
+    shortest = min(demands, key=Demand.most_nodes)
     if nodes <= shortest.most_nodes():
         return
-    largest = largest_that_fits(found, bytes_per_node=bytes_per_node, surface_bytes=surface_bytes)
+    largest = _largest(demands)
     raise TooLarge(
-        f"a {_shape_text(shape)} array does not fit this computer: its {nodes} processors need"
+        f"{what} does not fit this computer: its {nodes} processors{beside} need"
         f" {shortest.shortage(nodes)}; {f'largest that fits: {_shape_text(largest)}' if largest[0] else 'nothing fits'}"
     )
 
 
 def largest_that_fits(resources: Resources, *, bytes_per_node: int = NODE_BYTES, surface_bytes: int = 0) -> Shape:
     """The largest cubic array for which the resources suffice; (0, 0, 0) if they do not suffice for one node."""
-    nodes = min(demand.most_nodes() for demand in _demands(resources, bytes_per_node, surface_bytes))
+    return _largest(_demands(resources, bytes_per_node, surface_bytes))
+
+
+def _largest(demands: tuple[Demand, ...]) -> Shape:
+    nodes = min(demand.most_nodes() for demand in demands)
     side = min(round(nodes ** (1 / 3)), LARGEST_AXIS)
     if side**3 > nodes:
         side -= 1

@@ -7,7 +7,7 @@ bits and the ticks are the same. What the nodes of an array share here, they sha
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,15 +40,17 @@ from raygrid.node.timed import (
 
 from . import compile_clock, event_loop
 from .event_loop import BINS, HOPS, STRETCHES, Births, Watch, Wheel, enter_all, run
-from .limits import read_resources
+from .limits import check_simulated_fits, read_memory
 from .sample_order import order_of_pixels, order_of_samples
 from .shared_tables import holdings, one_hierarchy, ordered, trees
 
 Long = NDArray[np.int64]
 TURN_EVENTS = 1 << 20  # between two looks at signals and progress
 FIRST_ROOM = 1 << 16  # packets; doubled whenever they do not suffice
-CELL_BYTES = FIELDS * 8 + 64 + 6 * 8  # of a node that holds nothing
+BOOKS_BYTES = FIELDS * 8  # of a node in a phase that runs, or is kept
+NODE_BYTES = 128  # of a node that holds nothing, beside its books: who bears and holds what, the flood (measured: 96)
 SAMPLE_BYTES = 16  # of a sample while the order of births is worked out
+PIXEL_BYTES = 160  # of a pixel: sums of the phase and of the picture, and the order of the read-out (measured: 143)
 
 Tell = Callable[[str, int, int], None]
 """Told the phase, events so far and packets that died so far."""
@@ -87,6 +89,10 @@ class Phase:
         """One of the books of all nodes, int64 (n,)."""
         return self.nodes[:, field_number]
 
+    def without_books(self) -> Phase:
+        """The same, but that what each node did is forgotten, which is nearly all that a phase takes."""
+        return replace(self, nodes=np.zeros((0, FIELDS), np.int64))
+
 
 def digest_of(traces: Long) -> str:
     """The digests of all nodes, in order, as 16 hexadecimal digits."""
@@ -120,11 +126,14 @@ class Model:
         return len(self.held)
 
 
-def make_model(space: Space, surfaces: SurfaceSet, frame: Frame, search: str) -> Model:
-    """Work out who holds and who bears what. Raises TooLarge if this computer has no room for it."""
+def make_model(space: Space, surfaces: SurfaceSet, frame: Frame, search: str, books: int = 1) -> Model:
+    """Work out who holds and who bears what. Raises TooLarge if this computer has no room for it.
+
+    books   most phases at a time of which the nodes' books are kept, the one that runs included
+    """
     if search not in ("list", "tree"):
         raise ArrayError(f"a search came as {search!r}, wanted list or tree")
-    check_room(space.shape, frame)
+    check_room(space.shape, frame, books)
     begun = compile_clock.now()
     sorted_surfaces = ordered(surfaces)
     held = holdings(sorted_surfaces, space)
@@ -135,18 +144,16 @@ def make_model(space: Space, surfaces: SurfaceSet, frame: Frame, search: str) ->
     return Model(space, frame, held.held, tables, roots, samples, borders, search, seconds)
 
 
-def check_room(shape: tuple[int, int, int], frame: Frame) -> None:
-    """Raise TooLarge for an array or a picture that this computer has no memory for."""
-    nodes = shape[0] * shape[1] * shape[2]
-    samples = frame.width * frame.height * frame.samples
-    need = nodes * CELL_BYTES + samples * SAMPLE_BYTES + frame.width * frame.height * 64 + 2 * FIRST_ROOM * RECORD
-    there = read_resources().memory
-    if need > there.left:
-        text = "x".join(map(str, shape))
-        raise TooLarge(
-            f"simulating {text} processors and {samples:,} samples needs {need / 1e9:.1f} GB of memory, "
-            f"and {there.limit} leaves {max(there.left, 0) / 1e9:.1f} GB"
-        )
+def check_room(shape: tuple[int, int, int], frame: Frame, books: int) -> None:
+    """Raise TooLarge for an array or a picture that this computer has no memory for; books: as of `make_model`."""
+    pixels = frame.width * frame.height
+    samples = pixels * frame.samples
+    check_simulated_fits(
+        shape,
+        samples,
+        bytes_per_node=NODE_BYTES + books * BOOKS_BYTES,
+        fixed_bytes=samples * SAMPLE_BYTES + pixels * PIXEL_BYTES + 2 * FIRST_ROOM * RECORD,
+    )
 
 
 def whole_picture(frame: Frame) -> Pixels:
@@ -227,7 +234,7 @@ def _run(
 
 def _with_more_room(timed: Timed) -> Timed:
     room = 2 * (len(timed.words) * 8 // RECORD)
-    there = read_resources().memory
+    there = read_memory()
     if room * RECORD > there.left:
         raise TooLarge(
             f"{room // 2:,} packets are in flight, and room for {room:,} needs {room * RECORD / 1e9:.1f} GB: "

@@ -202,8 +202,9 @@ def info(scene: str, as_json: bool) -> None:
     metavar="FILE",
     help="File to write.  [default: the scene's name with .pov, here]",
 )
+@click.option("--frame", type=Number(1, 1_000_000), metavar="N", help="The frame of a shot.  [default: 1]")
 @debug_option
-def export(scene: str, depth: int | None, highlights: bool | None, output: str | None) -> None:
+def export(scene: str, depth: int | None, highlights: bool | None, output: str | None, frame: int | None) -> None:
     """Write a scene file for POV-Ray 3.7.
 
     POV-Ray renders the same picture from it, by the same rules; the head of the file says what differs.
@@ -211,7 +212,7 @@ def export(scene: str, depth: int | None, highlights: bool | None, output: str |
     from raygrid.host.export import export_file
     from raygrid.host.outputs import write_result
 
-    write_result(export_file(scene, output, depth, highlights))
+    write_result(export_file(scene, output, depth, highlights, frame, lambda told: click.echo(f"note: {told}", err=True)))
 
 
 cli_machine.add_commands(cli)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import click
@@ -25,6 +26,9 @@ Examples:
   raygrid probe
   raygrid probe --name big --rate 2 --json
   raygrid probe --record probes.jsonl --prometheus 9400
+  raygrid probe --replay probes.jsonl --speed 0.2
+  raygrid probe --replay probes.jsonl --worst
+  raygrid probe --replay probes.jsonl --table
   raygrid probe --replay probes.jsonl --chrome-trace trace.json
 
 docs/probes.md says what samples mean, and what they cost.
@@ -67,6 +71,7 @@ def _frame_options(command: Command) -> Command:
         click.option("--highlights/--no-highlights", default=None, help="Phong highlights, as for render."),
         click.option("--split", type=click.Choice(["balanced", "uniform"]), default="balanced", show_default=True,
                      help="Where the planes between processors lie, as for render."),
+        click.option("--frame", type=Number(1, 1_000_000), metavar="N", help="The frame of a shot.  [default: 1]"),
     )
     for option in reversed(options):
         command = option(command)
@@ -80,7 +85,8 @@ def _frame_options(command: Command) -> Command:
 @_frame_options
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 def trace(
-    scene: str, shape: tuple[int, int, int], pixel: tuple[int, int], sample: int | None, as_json: bool, **settings: Any
+    scene: str, shape: tuple[int, int, int], pixel: tuple[int, int], sample: int | None, as_json: bool,
+    frame: int | None, **settings: Any
 ) -> None:
     """Print the tree of rays of one pixel: where each went, what it hit, what came back.
 
@@ -88,7 +94,7 @@ def trace(
     """
     from raygrid.host.command_trace import Request, run_trace
 
-    run_trace(Request(scene, shape, pixel, sample, as_json, settings))
+    run_trace(Request(scene, shape, pixel, sample, as_json, frame, settings))
 
 
 @click.command(epilog=JAM_EXAMPLES)
@@ -100,7 +106,8 @@ def trace(
 @_frame_options
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 def jam(
-    scene: str, shape: tuple[int, int, int], room: int, budget: int | None, as_json: bool, **settings: Any
+    scene: str, shape: tuple[int, int, int], room: int, budget: int | None, as_json: bool, frame: int | None,
+    **settings: Any
 ) -> None:
     """Let a naive machine jam: finite buffers, no admission. Then the same load with admission.
 
@@ -109,12 +116,16 @@ def jam(
     """
     from raygrid.host.command_jam import Request, run_jam
 
-    run_jam(Request(scene, shape, room, budget, as_json, settings))
+    run_jam(Request(scene, shape, room, budget, as_json, frame, settings))
 
 
 @click.command(epilog=PROBE_EXAMPLES)
 @click.option("--name", type=ArrayName(), metavar="NAME", help="Of the array that is up.  [default: default]")
 @click.option("--replay", type=click.Path(), metavar="FILE", help="Show a recording instead of an array.")
+@click.option("--speed", type=Number(0.001, 1e9), metavar="X",
+              help="Play the recording X times as fast as it was.  [default: 1 on a terminal, unless files are written]")
+@click.option("--worst", is_flag=True, help="Show the recording's worst moment: when most packets waited in the array.")
+@click.option("--table", is_flag=True, help="At the end, all nodes by the share of a processor that they used.")
 @click.option("--rate", type=Number(0.01, 100.0), default=10.0, show_default=True, metavar="HZ",
               help="How often each node tells how it stands.")
 @click.option("--for", "seconds", type=Number(0.0, 1e9), metavar="SECONDS", help="End after this time.  [default: at Ctrl-C]")
@@ -129,9 +140,17 @@ def probe(**options: Any) -> None:
     """
     if options["replay"] is not None and (options["name"] is not None or options["prometheus"] is not None):
         raise click.UsageError("--replay came with --name or --prometheus, wanted a recording or an array")
+    if options["replay"] is None and (options["speed"] is not None or options["worst"]):
+        raise click.UsageError("--speed or --worst came without --replay, wanted a recording")
+    if options["worst"] and (options["table"] or options["speed"] is not None):
+        raise click.UsageError("--worst came with --table or --speed, wanted one of them")
     from raygrid.host.command_probe import Request, run_probe
 
-    run_probe(Request(**options))
+    request = Request(**options)
+    written = options["record"] or options["chrome_trace"]
+    if request.replay is not None and request.speed is None and request.is_drawn and not written:
+        request = replace(request, speed=1.0)
+    run_probe(request)
 # fmt: on
 
 

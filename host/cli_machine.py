@@ -47,6 +47,7 @@ Writes law.md, law.csv and a plot for each scene. docs/paper.md says what came o
               help="As for render.")
 @click.option("--transfer", type=click.Choice(["srgb", "linear"]), default="srgb", show_default=True,
               help="As for render.")
+@click.option("--frame", type=Number(1, 1_000_000), metavar="N", help="The frame of a shot.  [default: 1]")
 @click.option("-o", "--output", "outputs", multiple=True, type=click.Path(), metavar="FILE",
               help="Picture, or .npy of the exact sums: the same bits as from render; may be repeated.")
 @click.option("--stats", type=click.Path(), metavar="FILE", help="Write what the machine did as JSON.")
@@ -65,7 +66,7 @@ def simulate(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], 
     """
     from raygrid.host.command_simulate import Request, run_simulate
 
-    names = ("cost", "search", "band", "stats", "table", "plots", "transfer", "quiet")
+    names = ("cost", "search", "band", "stats", "table", "plots", "transfer", "quiet", "frame")
     chosen = {name: options.pop(name) for name in names}
     run_simulate(Request(scene, shape, outputs=outputs, **chosen, settings=options))
 

@@ -10,10 +10,11 @@ from typing import Any
 from raygrid.emulator.jam import NaiveMachine, Outcome, Waiting, surely_free
 from raygrid.emulator.kernel_kinds import LOOKING
 from raygrid.host.command_simulate import compiling
-from raygrid.host.job import Job, Settings, make_job
+from raygrid.host.job import Job, Settings
 from raygrid.host.load import load_scene
 from raygrid.host.outputs import write_result
 from raygrid.host.progress import Talk
+from raygrid.host.shot_jobs import still_job
 from raygrid.node.main import PORT_NAMES
 
 DEFAULT_SIZE = (64, 64)  # a jam comes early or not at all, and every hop is a step of its own
@@ -25,6 +26,7 @@ class Request:
 
     room      packets that a link's buffer holds
     budget    primary rays alive at once in the run with admission; None: as many as can surely not jam, 1 at least
+    frame     of a shot, None for its first
     settings  of `raygrid.host.job.Settings`
     """
 
@@ -33,6 +35,7 @@ class Request:
     room: int
     budget: int | None
     as_json: bool
+    frame: int | None
     settings: dict[str, Any]
 
 
@@ -41,18 +44,24 @@ def run_jam(request: Request) -> None:
     scene = load_scene(request.scene)
     settings = {**request.settings, "size": request.settings.get("size") or DEFAULT_SIZE}
     with Talk(False) as talk, compiling(talk, LOOKING):
-        job = make_job(scene, request.shape, Settings(**settings))
+        job = still_job(scene, request.shape, Settings(**settings), request.frame)
         free = surely_free(job.frame, request.room)
         budget = max(1, free) if request.budget is None else request.budget
         naive, admitted = _run(job, request.room, None), _run(job, request.room, budget)
     if request.as_json:
-        told = {"scene": scene.name, "array": list(request.shape), "surely_free_budget": free}
+        told: dict[str, Any] = {
+            "scene": scene.name,
+            "frame": job.number,
+            "array": list(request.shape),
+            "surely_free_budget": free,
+        }
         told |= {"without_admission": asdict(naive), "with_admission": asdict(admitted)}
         write_result(json.dumps(told))
         return
     size = f"{job.frame.width}x{job.frame.height}"
     shape = "x".join(map(str, request.shape))
-    lines = [f"{scene.name}, {size} pixels, array {shape}, buffers of {request.room} packets"]
+    frame = "" if scene.shot is None else f"frame {job.number} of {scene.shot.frames}, "
+    lines = [f"{scene.name}, {frame}{size} pixels, array {shape}, buffers of {request.room} packets"]
     lines += ["", "without admission:", *_told(naive)]
     lines += [
         "",
@@ -103,6 +112,8 @@ def _wait(node: Waiting) -> str:
 def _promise(budget: int, free: int) -> str:
     if budget <= free:
         return f"  it cannot jam: the packets of {_many(free, 'tree')} of rays never fill a buffer"
+    if free == 0:
+        return "  nothing promises that it does not jam: the packets of a single tree of rays can fill a buffer"
     return f"  nothing promises that it does not jam: the packets of more than {_many(free, 'tree')} of rays can fill a buffer"
 
 

@@ -59,10 +59,14 @@ def _run(request: Request, talk: Talk) -> list[str]:
     from raygrid.host.law_report import write_report
     from raygrid.host.load import load_scene
     from raygrid.host.plots import pyplot
+    from raygrid.host.shot import frame_told
 
     cost = load_cost_model(request.cost)
-    pyplot()
+    pyplot("law")
     scenes = [load_scene(scene) for scene in request.scenes]
+    for scene in scenes:
+        if told_frame := frame_told(scene, None, False):
+            talk.remark(told_frame)
     points = []
     with compiling(talk):
         for scene in scenes:

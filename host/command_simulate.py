@@ -29,6 +29,7 @@ class Request:
     search    list, tree, or None: as the cost model says
     band      low and high costs, too
     outputs, stats, table, plots   paths to write, plots being a folder
+    frame     of a shot, None for its first
     settings  of `raygrid.host.job.Settings`
     """
 
@@ -43,6 +44,7 @@ class Request:
     plots: str | None
     transfer: str
     quiet: bool
+    frame: int | None
     settings: dict[str, Any]
 
 
@@ -60,17 +62,21 @@ def run_simulate(request: Request) -> None:
 def _simulate(request: Request, talk: Talk) -> Simulated:
     talk.phase(f"reading {request.scene}")
     from raygrid.host.cost_models import load_cost_model
-    from raygrid.host.job import Settings, make_job
+    from raygrid.host.job import Settings
     from raygrid.host.load import load_scene
+    from raygrid.host.shot import frame_told
+    from raygrid.host.shot_jobs import still_job
 
     cost = load_cost_model(request.cost)
     scene = load_scene(request.scene)
     for remark in scene.remarks:
         talk.remark(remark)
+    if told_frame := frame_told(scene, request.frame):
+        talk.remark(told_frame)
     with compiling(talk):
         from raygrid.host.simulate import simulate_job
 
-        job = make_job(scene, request.shape, Settings(**request.settings))
+        job = still_job(scene, request.shape, Settings(**request.settings), request.frame)
         for output in request.outputs:
             check_side(output, job.frame.width, job.frame.height)
         talk.phase("simulating")
@@ -149,20 +155,62 @@ def summary(done: Simulated, stats: dict[str, Any]) -> list[str]:
     ]
     if done.floods:
         lines += [f"set-up: {_seconds(stats, 'set_up')}", f"read-out: {_seconds(stats, 'read_out')}"]
+    busiest = stats["busiest"]
     lines += [
-        f"rays: {rays:,}; hops: {total['hops']:,}; busiest link: {stats['links']['busiest']['packets']:,} packets",
+        f"rays: {rays:,}; hops: {total['hops']:,}",
+        f"busiest processor: {_place(busiest['node'])}, at work {busiest['share']:.1%} of the frame; {_link(stats)}",
         f"processors: {shares['working']:.1%} working, {shares['sending']:.1%} sending, {shares['waiting']:.1%} waiting; "
         f"busiest/mean {stats['balance']:.2f}; links {shares['links']:.1%} busy",
         f"queues: at most {queue['most']:,} packets, {queue['mean']:.2f} on average",
-        f"simulated in {done.seconds['whole']:.1f} s of wall time, {stats['simulator']['events']:,} events a frame",
+        f"simulated in {in_words(done.seconds['whole'])} of wall time, {stats['simulator']['events']:,} events a frame",
     ]
     return lines
 
 
+def _place(index: list[int]) -> str:
+    return ",".join(map(str, index))
+
+
+def _link(stats: dict[str, Any]) -> str:
+    """The busiest link, by the processors at both of its ends."""
+    busiest = stats["links"]["busiest"]
+    if not busiest["packets"]:
+        return "no packet went from one to another"
+    port = busiest["port"]
+    to = list(busiest["node"])
+    to["xyz".index(port[1])] += 1 if port[0] == "+" else -1
+    return f"busiest link: {_place(busiest['node'])} to {_place(to)} ({port}), {busiest['packets']:,} packets"
+
+
 def _seconds(stats: dict[str, Any], phase: str) -> str:
-    """Machine seconds, with the band in brackets if there is one."""
+    """Machine seconds, with the band in brackets if there is one; long times in words, too."""
     band = stats["band"]
-    middle = f"{band['middle']['seconds'][phase]:.4g} machine seconds"
+    seconds = band["middle"]["seconds"][phase]
+    middle = f"{_plain(seconds)} machine seconds"
+    if seconds >= MINUTE:
+        middle = f"{middle} ({in_words(seconds)})"
     if "low" not in band:
         return middle
-    return f"{middle} ({band['low']['seconds'][phase]:.4g} to {band['high']['seconds'][phase]:.4g})"
+    low, high = band["low"]["seconds"][phase], band["high"]["seconds"][phase]
+    words = f" ({in_words(low)} to {in_words(high)})" if high >= MINUTE else ""
+    return f"{middle}; low to high costs: {_plain(low)} to {_plain(high)}{words}"
+
+
+def _plain(seconds: float) -> str:
+    """Seconds with four digits or more, and never as 1.583e+04."""
+    return f"{seconds:,.0f}" if seconds >= 1000.0 else f"{seconds:.4g}"
+
+
+MINUTE, HOUR, DAY = 60, 3600, 86400
+
+
+def in_words(seconds: float) -> str:
+    """A time with its two largest units: 3.1 s, 12 min 5 s, 4 h 24 min, 12 d 3 h."""
+    if round(seconds) < MINUTE:
+        return f"{seconds:.3g} s"
+    for large, small, names in ((DAY, HOUR, "d h"), (HOUR, MINUTE, "h min"), (MINUTE, 1, "min s")):
+        whole, rest = divmod(round(seconds / small), large // small)
+        if whole:
+            first, second = names.split()
+            return f"{whole:,} {first}" + (f" {rest} {second}" if rest else "")
+    raise AssertionError("a minute or more has minutes")

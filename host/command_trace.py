@@ -9,10 +9,11 @@ from typing import Any
 
 from raygrid.emulator.kernel_kinds import LOOKING
 from raygrid.host.command_simulate import compiling
-from raygrid.host.job import Settings, make_job
+from raygrid.host.job import Settings
 from raygrid.host.load import load_scene
 from raygrid.host.outputs import write_result
 from raygrid.host.progress import Talk
+from raygrid.host.shot_jobs import still_job
 from raygrid.host.trace import headline, plain_lines, ray_line, sample_line, trace_pixel
 
 
@@ -22,6 +23,7 @@ class Request:
 
     pixel     column and row, 0,0 top left
     sample    the only sample to show, or None for all
+    frame     of a shot, None for its first
     settings  of `raygrid.host.job.Settings`
     """
 
@@ -30,6 +32,7 @@ class Request:
     pixel: tuple[int, int]
     sample: int | None
     as_json: bool
+    frame: int | None
     settings: dict[str, Any]
 
 
@@ -37,7 +40,7 @@ def run_trace(request: Request) -> None:
     """Load the scene into an array in memory, trace the pixel, print its tree. Raises RaygridError."""
     scene = load_scene(request.scene)
     with Talk(False) as talk, compiling(talk, LOOKING):
-        job = make_job(scene, request.shape, Settings(**request.settings))
+        job = still_job(scene, request.shape, Settings(**request.settings), request.frame)
         told = trace_pixel(job, *request.pixel, request.sample)
     if request.as_json:
         write_result(json.dumps(told, indent=1))

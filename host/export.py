@@ -11,7 +11,7 @@ power of ten that makes scenes of any size large against that.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,7 @@ from raygrid.host.job import DEFAULT_DEPTH, DEFAULT_SIZE
 from raygrid.host.load import load_scene
 from raygrid.host.outputs import check_different, check_path, write_whole
 from raygrid.host.scene import Scene
+from raygrid.host.shot import frame_told, still
 from raygrid.node.errors import SceneError
 from raygrid.node.frame import DIRECTIONAL
 from raygrid.node.surfaces import F64
@@ -33,39 +34,60 @@ SHADE = 0.002  # radius of the shade of a spot light in POV-Ray's units, of whic
 
 
 def export_file(
-    scene: str | Path, output: str | Path | None = None, depth: int | None = None, highlights: bool | None = None
+    scene: str | Path,
+    output: str | Path | None = None,
+    depth: int | None = None,
+    highlights: bool | None = None,
+    frame: int | None = None,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> str:
     """Read a scene and write it by `export_pov`; returns the path written, the scene's name with .pov by default.
 
+    frame   of a shot, None for its first; `tell` is told of which
     Raises SceneError and OutputError.
     """
     path = Path(scene).stem + ".pov" if output is None else str(output)
     check_path(path)
     check_different(str(scene), [path])
-    export_pov(load_scene(scene), path, depth, highlights)
+    read = load_scene(scene)
+    told = frame_told(read, frame)
+    if told is not None:
+        tell(told)
+    export_pov(read, path, depth, highlights, frame)
     return path
 
 
-def export_pov(scene: Scene, path: str | Path, depth: int | None = None, highlights: bool | None = None) -> None:
+def export_pov(
+    scene: Scene,
+    path: str | Path,
+    depth: int | None = None,
+    highlights: bool | None = None,
+    frame: int | None = None,
+) -> None:
     """Write a scene as a POV-Ray 3.7 file; it appears whole or not at all.
 
     depth       greatest depth of the ray tree; None: what the scene's file asks for, else 5
     highlights  whether materials' highlights are used; None: as the scene's file has it
+    frame       of a shot, None for its first
     Raises SceneError for a scene without surfaces, OutputError if the file cannot be written.
     """
     if len(scene.surfaces) == 0:
         raise SceneError(f"{scene.name}: the scene has no surfaces")
-    lines = pov_lines(scene, depth, highlights)
+    lines = pov_lines(scene, depth, highlights, frame)
     write_whole(path, lambda file: file.writelines(line.encode() + b"\n" for line in lines))
 
 
-def pov_lines(scene: Scene, depth: int | None = None, highlights: bool | None = None) -> Iterator[str]:
+def pov_lines(
+    scene: Scene, depth: int | None = None, highlights: bool | None = None, frame: int | None = None
+) -> Iterator[str]:
     """The lines of the file, as `export_pov` writes them."""
+    taken = "" if scene.shot is None else f", frame {frame or 1} of {scene.shot.frames}"
+    scene = still(scene, frame or 1)
     scale = _scale(scene)
     shines = scene.highlights if highlights is None else highlights
     materials = MaterialWriter(scene.materials, shines)
     width, height = scene.size or DEFAULT_SIZE
-    yield f"// {Path(scene.name).name}, exported by raygrid for POV-Ray 3.7. To get raygrid's linear picture:"
+    yield f"// {Path(scene.name).name}{taken}, exported by raygrid for POV-Ray 3.7. To get raygrid's linear picture:"
     yield f"//   povray +I<this file> +W{width} +H{height} -A +FN16 File_Gamma=1.0"
     yield f"// One unit of the scene is {scale:g} units here. The camera is right for any +W and +H."
     for difference in _differences(scene, materials):

@@ -3,24 +3,29 @@
     square  T = A + B n + C R / n^2        cubic  T = A + B n + C R / n^3
 
 n is the edge of the array, R the number of primary rays. A is there whatever the size, B n grows with the way that
-packets go, C R / n^2 is the work of the rays shared out. Fitted by least squares of relative residuals, all of A, B and
-C at least 0, with confidence bounds from the covariance of the fit. How well the third term holds is told by a fit in
-which its power of n is free. Needs the extra `law`.
+packets go, C R / n^2 is the work of the rays shared out.
+
+Fitted by least squares of logarithmic residuals, log(T / law), all of A, B and C at least 0, with confidence bounds from
+the covariance of the fit; R^2 is that of log T. Times range over three decades, so a second is not the same everywhere;
+and residuals divided by T would punish a law twice the time and not one of none, so that the fit would lie under most
+frames. With logarithms twice and half the time are equally far off, and the residuals add up to 0. How well the third term
+holds is told by a fit in which its power of n is free. Needs the extra `law`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.emulator.simulator import make_model, trace
 from raygrid.host.cost_models import CostModel
-from raygrid.host.job import Settings, make_job
+from raygrid.host.job import Settings
 from raygrid.host.scene import Scene
+from raygrid.host.shot_jobs import still_job
 from raygrid.node.errors import OutputError
 from raygrid.node.packets import PRIMARY
 from raygrid.node.tables import BORN, SENT
@@ -32,6 +37,9 @@ KINDS = {"square": 2, "cubic": 3}  # and how many edges its processors have
 CONFIDENCE = 0.95
 LEAST_POINTS = 4  # of a fit of three numbers
 POWERS = np.arange(0.0, 6.001, 0.02)  # that are tried for the third term
+STEPS, LEAST_PART = 200, 2.0**-30  # of a descent: how many, and the least part of one
+LEAST_FITTED = 1e-200  # part of T: what a law of zeros is taken for, so that its logarithm is there
+ENOUGH = 1e-14  # a step that gains less than this part of the squares is the last
 
 
 @dataclass(frozen=True)
@@ -61,7 +69,7 @@ class Fit:
 
     values, bounds   A, B and C in seconds, and by how much each may be off at CONFIDENCE (float64 (3,) each); one that
                      is held at 0 has the bound 0
-    r2               of T; residuals float64 (points,): (T - fit) / T
+    r2               of log T, as it was fitted; residuals float64 (points,): log(T / fit)
     power            with which the third term falls with n if that is fitted, too, and the range of it at CONFIDENCE:
                      what a law would be that these frames follow best, 2 or 3 by the law of 1983
     """
@@ -78,6 +86,11 @@ class Fit:
         """Seconds by the law."""
         return law(KINDS[self.kind], n, rays) @ self.values
 
+    @property
+    def above(self) -> int:
+        """How many frames took longer than the law has it."""
+        return int(np.count_nonzero(self.residuals > 0.0))
+
     def best(self, rays: int) -> float:
         """The edge of the array with the least time by the law; infinite if no part of it grows with n."""
         power = KINDS[self.kind]
@@ -92,15 +105,54 @@ def law(power: float, n: Any, rays: Any) -> F64:
     return np.stack((np.ones_like(n), n, rays / n**power), axis=-1)
 
 
-def _solved(points: Sequence[Point], power: float) -> tuple[F64, float, F64]:
-    """(values, sum of squares of relative residuals, the terms over T): least squares with no value below 0."""
-    from scipy.optimize import nnls
+class _Solved(NamedTuple):
+    """values (3,), none below 0; residuals log(T / fit) (points,); slopes: d log(fit) / d values (points, 3)."""
 
+    values: F64
+    residuals: F64
+    slopes: F64
+
+    @property
+    def squares(self) -> float:
+        """The sum that is least."""
+        return float(self.residuals @ self.residuals)
+
+
+def _solved(points: Sequence[Point], power: float) -> _Solved:
+    """Least squares of log(T / fit) with no value below 0. (Other starts than the middle were tried: all end at one place.)"""
     times = np.array([point.seconds for point in points])
     over = law(power, [point.n for point in points], [point.rays for point in points]) / times[:, None]
-    size = np.linalg.norm(over, axis=0)
-    values, rest = nnls(over / size, np.ones(len(points)))
-    return values / size, float(rest) ** 2, over
+    over_size = np.exp(np.log(over).mean(axis=0))  # so that each term alone goes through the middle of the points
+    values, residuals, slopes = _descended(over / over_size, np.ones(3) / 3.0)
+    return _Solved(values / over_size, residuals, slopes * over_size)
+
+
+def _descended(over: F64, values: F64) -> _Solved:
+    """The least squares of log(over @ values) near a start: Gauss and Newton's steps, each by linear least squares.
+
+    A step solves the problem made linear for values of 0 or more, and so finds those that are 0 exactly; it is halved
+    until it does not lead upwards.
+    """
+    from scipy.optimize import nnls
+
+    def at(values: F64) -> _Solved:
+        fitted = np.maximum(over @ values, LEAST_FITTED)
+        return _Solved(values, -np.log(fitted), over / fitted[:, None])
+
+    here = at(values)
+    for _ in range(STEPS):
+        aim, _ = nnls(here.slopes, 1.0 + here.residuals)  # slopes @ values is 1: log(fit) grows with the values' scale
+        part, there = 1.0, at(aim)
+        while there.squares > here.squares and part > LEAST_PART:
+            part /= 2.0
+            there = at(here.values + part * (aim - here.values))
+        gained = here.squares - there.squares
+        if gained <= 0.0:
+            return here
+        here = there
+        if gained <= ENOUGH * here.squares:
+            return here
+    return here
 
 
 def fit(points: Sequence[Point]) -> Fit:
@@ -115,22 +167,23 @@ def fit(points: Sequence[Point]) -> Fit:
             f"a fit of the {kind} law came with {len(points)} frames of {sizes} sizes, "
             f"wanted {LEAST_POINTS} or more of {LEAST_POINTS - 1} sizes"
         )
-    values, squares, over = _solved(points, KINDS[kind])
-    active = values > 0.0
+    if min(point.seconds for point in points) <= 0.0:
+        raise OutputError(f"a fit of the {kind} law came with frames that take no time, wanted scenes that rays meet")
+    solved = _solved(points, KINDS[kind])
+    active = solved.values > 0.0
     freedom = len(points) - int(active.sum())
     bounds = np.zeros(3)
-    covariance = np.linalg.pinv(over[:, active].T @ over[:, active]) * squares / freedom
+    slopes = solved.slopes[:, active]
+    covariance = np.linalg.pinv(slopes.T @ slopes) * solved.squares / freedom
     bounds[active] = np.sqrt(np.diag(covariance)) * t.ppf((1.0 + CONFIDENCE) / 2.0, freedom)
-    times = np.array([point.seconds for point in points])
-    residuals = 1.0 - over @ values
-    spread = float(np.sum((times - times.mean()) ** 2))
-    r2 = 1.0 - float(np.sum((residuals * times) ** 2)) / max(spread, 1e-300)
+    logs = np.log([point.seconds for point in points])
+    r2 = 1.0 - solved.squares / max(float(np.sum((logs - logs.mean()) ** 2)), 1e-300)
     # of the power: all at which the squares are no larger than chance would make them (profile likelihood)
-    tried = np.array([_solved(points, power)[1] for power in POWERS])
+    tried = np.array([_solved(points, power).squares for power in POWERS])
     most = tried.min() * (1.0 + f.ppf(CONFIDENCE, 1, max(freedom - 1, 1)) / max(freedom - 1, 1))
     likely = POWERS[tried <= most]
     power = (float(POWERS[tried.argmin()]), float(likely.min()), float(likely.max()))
-    return Fit(kind, values, bounds, r2, residuals, power, tuple(points))
+    return Fit(kind, solved.values, bounds, r2, solved.residuals, power, tuple(points))
 
 
 def shape_of(kind: str, n: int, along: int) -> tuple[int, int, int]:
@@ -182,7 +235,7 @@ def _point(
     search: str,
     settings: dict[str, Any],
 ) -> Point:
-    job = make_job(scene, shape, Settings(size=size, **{"split": "uniform", **settings}))
+    job = still_job(scene, shape, Settings(size=size, **{"split": "uniform", **settings}))
     model = make_model(job.space, job.surfaces, job.frame, search)
     phase, _ = trace(model, cost.prices("middle", search), cost.list_ticks("middle", search, model.held))
     busy = phase.column(BUSY) / max(phase.ticks, 1)

@@ -52,24 +52,26 @@ def _report(scenes: list[str], points: Sequence[Point], fits: Fits, cost: CostMo
         f"`{command}`",
         "",
         f"Machine time by the cost model {cost.name} ({cost.file.about}), middle costs. n is the edge of the array, R the",
-        "number of primary rays. A, B and C are fitted by least squares of relative residuals and held at 0 or above; the",
-        f"bounds are those of {CONFIDENCE:.0%} confidence, as far as a law that is not exact can have them. The free power is",
-        "that of n in the third term if it is fitted, too: what the frames would rather have instead of 2 or 3.",
+        "number of primary rays. A, B and C are fitted by least squares of logarithmic residuals, log(T / law), and held at 0",
+        f"or above; the bounds are those of {CONFIDENCE:.0%} confidence, as far as a law that is not exact can have them. R^2 is",
+        "of log T, too. `off by`: the factor between T and the law, in the middle (the root of the mean of the squares) and at",
+        "worst; `above`: how many frames took longer than the law has it. The free power is that of n in the third term if it",
+        "is fitted, too: what the frames would rather have instead of 2 or 3.",
         "",
         "## Fits",
         "",
-        "| scene | law | A, s | B, s | C, s a ray | R^2 | residuals: mean, largest | free power of n | frames |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+        "| scene | law | A, s | B, s | C, s a ray | R^2 of log T | off by: middle, worst | above | free power of n | frames |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for (scene, kind), found in fits.items():
         a, b, c = (
             f"{v:.3g} ± {off:.2g}" if v > 0.0 else "0" for v, off in zip(found.values, found.bounds, strict=True)
         )
-        off = np.abs(found.residuals)
+        middle, worst = np.exp([np.sqrt(np.mean(found.residuals**2)), np.abs(found.residuals).max()])
         power = "{:.2f} ({:.2f} to {:.2f})".format(*found.power)
         rows.append(
-            f"| {scene} | {FORMULA[kind]} | {a} | {b} | {c} | {found.r2:.4f} | {off.mean():.0%}, {off.max():.0%} "
-            f"| {power} | {len(found.points)} |"
+            f"| {scene} | {FORMULA[kind]} | {a} | {b} | {c} | {found.r2:.4f} | {middle:.2f}, {worst:.2f} "
+            f"| {found.above} | {power} | {len(found.points)} |"
         )
     rows += ["", "## The best size", "", *_best(fits), "", "## Square against cubic", "", *_against(scenes, points)]
     for scene in scenes:
@@ -122,7 +124,7 @@ def _against(scenes: list[str], points: Sequence[Point]) -> list[str]:
 
 def _points(scene: str, fits: Fits) -> list[str]:
     rows = [
-        "| array | rays | seconds | law | residual | efficiency | busy | busiest |",
+        "| array | rays | seconds | law | seconds / law | efficiency | busy | busiest |",
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for (of, kind), found in fits.items():
@@ -131,7 +133,7 @@ def _points(scene: str, fits: Fits) -> list[str]:
         for point, residual in zip(found.points, found.residuals, strict=True):
             rows.append(
                 f"| {'x'.join(map(str, point.shape))} ({kind}) | {point.rays:,} | {point.seconds:.4g} "
-                f"| {float(found.time(point.n, point.rays)):.4g} | {residual:+.0%} "
+                f"| {float(found.time(point.n, point.rays)):.4g} | {np.exp(residual):.2f} "
                 f"| {_efficiency(point, found.points)} | {point.busy:.1%} | {point.busiest:.1%} |"
             )
     return rows
@@ -172,8 +174,10 @@ def _figure(scene: str, fits: dict[str, Fit]) -> Any:
     axes[1, 0].set_title("square and cubic", fontsize=9)
     axes[1, 1].set_title("efficiency: T(1) / (processors T)", fontsize=9)
     for axis in axes.flat:
-        axis.set_xscale("log")
+        axis.set_xscale("log", base=2)
         axis.set_yscale("log")
+        for side in (axis.xaxis, axis.yaxis):
+            side.set_major_formatter("{x:g}")  # 16 and not 2^4, 0.1 and not 10^-1
         axis.legend(fontsize=7)
     for axis in axes.flat[:3]:
         axis.set_ylabel("machine seconds")

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 FILES = ("busy.png", "links.png", "time.png")
 
 
-def pyplot() -> Any:
-    """matplotlib without a display. Raises OutputError if it is not installed."""
+def pyplot(extra: str = "plots") -> Any:
+    """matplotlib without a display. Raises OutputError if it is not installed; extra: that brings all that is wanted."""
     try:
         import matplotlib
     except ImportError:
-        raise OutputError("plots need matplotlib: pip install 'raygrid[plots]'") from None
+        raise OutputError(f"plots need matplotlib: pip install 'raygrid[{extra}]'") from None
     matplotlib.use("Agg")
     import matplotlib.pyplot
 
@@ -69,8 +69,9 @@ def _layers(values: NDArray[np.float64], shape: tuple[int, int, int], title: str
     across = min(shape[2], 10)
     down = math.ceil(shape[2] / across)
     size = 2.4 if shape[2] > 1 else 6.0
+    wide, high = (max(size * side / max(shape[:2]), 0.8) for side in shape[:2])
     figure, axes = plt.subplots(
-        down, across, figsize=(size * across + 1.5, size * down + 0.8), squeeze=False, layout="constrained"
+        down, across, figsize=(wide * across + 1.8, high * down + 1.4), squeeze=False, layout="constrained"
     )
     image = None
     for z, axis in enumerate(axes.flat):
@@ -79,11 +80,23 @@ def _layers(values: NDArray[np.float64], shape: tuple[int, int, int], title: str
             continue
         image = axis.imshow(cube[z], origin="lower", vmin=0.0, vmax=max(float(values.max()), 1e-9), cmap="viridis")
         axis.set_title(f"z = {z}", fontsize=8)
-        axis.set_xticks([])
-        axis.set_yticks([])
+        _number_processors(axis, z % across == 0, z + across >= shape[2])
     figure.colorbar(image, ax=axes.ravel().tolist(), label=scale)
     figure.suptitle(title, fontsize=9)
     return figure
+
+
+def _number_processors(axis: Any, left: bool, bottom: bool) -> None:
+    """Whole numbers along the axes of a layer, and their names at the left and the bottom of all layers."""
+    from matplotlib.ticker import MaxNLocator
+
+    for side in (axis.xaxis, axis.yaxis):
+        side.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=1))
+    axis.tick_params(labelsize=7)
+    if bottom:
+        axis.set_xlabel("x", fontsize=8)
+    if left:
+        axis.set_ylabel("y", fontsize=8)
 
 
 def _over_time(done: Simulated, what: str) -> Any:

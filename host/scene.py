@@ -83,8 +83,13 @@ def describe(scene: Scene) -> dict[str, Any]:
     }
 
 
+def light_kind(row: np.void) -> str:
+    """What a light is called: directional, spot or point."""
+    return "directional" if row["kind"] == DIRECTIONAL else "spot" if row["spot"] else "point"
+
+
 def _light(row: np.void) -> dict[str, Any]:
-    kind = "directional" if row["kind"] == DIRECTIONAL else "spot" if row["spot"] else "point"
+    kind = light_kind(row)
     return {
         "kind": kind,
         "towards" if kind == "directional" else "position": row["place"].tolist(),

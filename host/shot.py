@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +19,7 @@ from raygrid.host.cameras import Camera
 from raygrid.host.scene import Scene
 from raygrid.node.errors import SceneError
 from raygrid.node.motions import NO_MOTION, SCALE, SHIFT, Groups, moved_rows
-from raygrid.node.surfaces import F64, Batch, Kind
+from raygrid.node.surfaces import F64, Batch, Kind, SurfaceSet
 
 MAX_FRAMES = 1_000_000
 FPS = 24.0
@@ -134,6 +134,38 @@ def about(pivot: ArrayLike, turn: F64, scale: float) -> F64:
     here = motion(turn, scale)
     here[SHIFT:] = np.asarray(pivot, np.float64) - moved_point(here, pivot)
     return here
+
+
+def still(scene: Scene, frame: int) -> Scene:
+    """The scene as a frame of its shot has it, a still one. Raises SceneError for a frame that it has not."""
+    shot = scene.shot
+    if shot is None:
+        if frame != 1:
+            raise SceneError(f"{scene.name}: frame {frame} came for a scene that does not change, wanted 1")
+        return scene
+    if not 1 <= frame <= shot.frames:
+        raise SceneError(f"{scene.name}: frame {frame} came, wanted frames 1 to {shot.frames}")
+    pose = shot.at(frame)
+    batches = []
+    for batch in scene.surfaces:
+        number = shot.groups.of(batch.ids)
+        owner = np.repeat(number, np.diff(batch.starts)) if batch.kind == Kind.POLYGON else number
+        data, rows = batch.data.astype(np.float64), np.flatnonzero(owner >= 0)
+        if len(rows):
+            data[rows] = moved_rows(batch.kind, data[rows], pose.motions[owner[rows]])
+        batches.append(Batch(batch.kind, batch.ids, batch.materials, data, batch.starts))
+    surfaces = SurfaceSet(tuple(batches))
+    return replace(
+        scene, surfaces=surfaces, camera=pose.camera, lights=pose.lights, materials=pose.materials, shot=None
+    )
+
+
+def frame_told(scene: Scene, frame: int | None, choice: bool = True) -> str | None:
+    """Which frame of a shot a command takes that takes one, in words; None for a still scene. choice: whether it has --frame."""
+    if scene.shot is None or (frame or 1) > scene.shot.frames:
+        return None
+    another = ", as --frame names no other" if choice and frame is None and scene.shot.frames > 1 else ""
+    return f"{scene.name}: frame {frame or 1} of {scene.shot.frames}{another}"
 
 
 # --- boxes -----------------------------------------------------------------------------------------------

@@ -54,6 +54,19 @@ def jobs_of(
         yield jobs.job(number)
 
 
+def still_job(scene: Scene, shape: Shape, settings: Settings, frame: int | None = None) -> Job:
+    """The job of one frame with all surfaces where that frame has them, for what knows of no motions: the same picture.
+
+    frame   of a shot, None for its first
+    Raises SceneError as `jobs_of` does.
+    """
+    if scene.shot is None and frame not in (None, 1):
+        raise SceneError(f"{scene.name}: frame {frame} came for a scene that does not change, wanted 1")
+    (job,) = jobs_of(scene, shape, settings, [1 if frame is None else frame])
+    surfaces = SurfaceSet(tuple(placed(batch, job.moves) for batch in job.surfaces))
+    return replace(job, surfaces=surfaces, moves=None)
+
+
 class ShotJobs:
     """The jobs of one shot, which share world, planes between cells, and surfaces at rest.
 

@@ -25,7 +25,8 @@ class Simulated:
 
     model     who holds and bears what
     search    list or tree
-    frames    of each level that was asked for, "middle" among them: what happened while tracing
+    frames    of each level that was asked for, "middle" among them: what happened while tracing; only that of "middle"
+              has the nodes' books, since those of an array take half a kilobyte a node
     floods, read_outs   of the same levels: setting the scene up, and collecting the pixels
     sums      int64 (height, width, 3), the picture
     seconds   wall seconds of this computer, by phase
@@ -65,7 +66,7 @@ def simulate_job(
     """
     chosen = cost.file.search if search is None else search
     begun = compile_clock.now()
-    model = make_model(job.space, job.surfaces, job.frame, chosen)
+    model = make_model(job.space, job.surfaces, job.frame, chosen, 2 if band or around else 1)
     seconds = {"prepare": compile_clock.now() - begun, "trace": 0.0, "around": 0.0}
     frames: dict[str, Phase] = {}
     floods: dict[str, Flooded] = {}
@@ -74,16 +75,18 @@ def simulate_job(
     for level in LEVELS if band else ("middle",):
         prices = cost.prices(level, chosen)
         ticks = cost.list_ticks(level, chosen, model.held)
-        frames[level], pixels = trace(model, prices, ticks, tell)
-        seconds["trace"] += frames[level].seconds
+        traced, pixels = trace(model, prices, ticks, tell)
+        seconds["trace"] += traced.seconds
+        frames[level] = traced if level == "middle" else traced.without_books()
+        del traced
         if level == "middle":
             sums = pixels.sums.copy()
             add_misses(job, sums, pixels.samples)
         if around:
             since = compile_clock.now()
             description = cost.file.ticks.description[LEVELS.index(level)]
-            floods[level] = flood(job.space, surfaces, prices, description)
-            read_outs[level] = read_out(model, prices, pixels, tell)
+            floods[level] = flood(job.space, surfaces, prices, description)._replace(busy=np.zeros(0, np.int64))
+            read_outs[level] = read_out(model, prices, pixels, tell).without_books()
             seconds["around"] += compile_clock.now() - since
     seconds["whole"] = compile_clock.now() - begun
     picture = sums.reshape(job.frame.height, job.frame.width, 3)

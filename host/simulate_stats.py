@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,7 @@ def make_stats(done: Simulated) -> dict[str, Any]:
     stats: dict[str, Any] = {
         "version": VERSION,
         "scene": job.scene.name,
+        "frame": job.number,
         "surfaces": len(job.surfaces),
         "array": list(shape),
         "split": job.settings.split,
@@ -64,6 +65,7 @@ def make_stats(done: Simulated) -> dict[str, Any]:
             "mean": float(phase.column(WAITED).sum() / max(phase.ticks, 1) / len(phase.nodes)),
             "mean_wait_ticks": float(phase.column(WAITED).sum() / max(int(phase.column(SERVED).sum()), 1)),
         },
+        "busiest": _busiest(done),
         "balance": float(phase.column(BUSY).max() / max(phase.column(BUSY).mean(), 1e-9)),
         "hops": _hops(phase),
         "links": _links(done),
@@ -121,6 +123,14 @@ def links_of(done: Simulated) -> int:
     """Directed links between neighbours."""
     x, y, z = done.job.space.shape
     return 2 * ((x - 1) * y * z + x * (y - 1) * z + x * y * (z - 1))
+
+
+def _busiest(done: Simulated) -> dict[str, Any]:
+    """The node that works longest: its place, ticks, and the part of the frame that these are."""
+    phase = done.frames["middle"]
+    busy = phase.column(BUSY)
+    node = int(busy.argmax())
+    return {"node": _index(done, node), "ticks": int(busy[node]), "share": float(busy[node] / max(phase.ticks, 1))}
 
 
 def _hops(phase: Phase) -> dict[str, list[int]]:
@@ -181,12 +191,17 @@ def records(done: Simulated) -> Any:
 
 
 def save_csv(path: str | Path, done: Simulated) -> None:
-    """Write a row a node. Raises OutputError."""
-    text = io.StringIO()
-    writer: csv.DictWriter[str] | None = None
-    for record in records(done):
-        if writer is None:
-            writer = csv.DictWriter(text, list(record), lineterminator="\n")
-            writer.writeheader()
-        writer.writerow(record)
-    write_whole(path, lambda file: file.writelines([text.getvalue().encode()]))
+    """Write a row a node, one after the other: a large array has millions. Raises OutputError."""
+
+    def write(file: BinaryIO) -> None:
+        text = io.TextIOWrapper(file, encoding="ascii", newline="")
+        rows = iter(records(done))
+        first = next(rows)
+        writer = csv.DictWriter(text, list(first), lineterminator="\n")
+        writer.writeheader()
+        writer.writerow(first)
+        writer.writerows(rows)
+        text.flush()
+        text.detach()
+
+    write_whole(path, write)

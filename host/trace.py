@@ -9,7 +9,7 @@ import numpy as np
 
 from raygrid.emulator.provenance import Provenance, Ray, Sample
 from raygrid.host.job import Job
-from raygrid.node.frame import DIRECTIONAL
+from raygrid.host.scene import light_kind
 from raygrid.node.pixels import UNIT
 from raygrid.node.surfaces import AnyKind
 
@@ -28,6 +28,8 @@ def trace_pixel(job: Job, x: int, y: int, only: int | None = None) -> dict[str, 
     return {
         "version": VERSION,
         "scene": job.scene.name,
+        "frame": job.number,
+        "frames": None if job.scene.shot is None else job.scene.shot.frames,
         "array": list(job.space.shape),
         "size": [job.frame.width, job.frame.height],
         "depth": job.frame.depth,
@@ -56,7 +58,7 @@ class _Trees:
         told: dict[str, Any] = {"kind": ray.kind.name.lower(), "depth": ray.depth}
         if ray.light is not None:
             told["light"] = ray.light
-            told["light_kind"] = "directional" if self._lights[ray.light]["kind"] == DIRECTIONAL else "point"
+            told["light_kind"] = light_kind(self._lights[ray.light])
         if ray.inside:
             told["total_internal_reflection"] = True
         told |= {
@@ -109,8 +111,9 @@ def headline(told: dict[str, Any]) -> str:
     width, height = told["size"]
     shown, samples = len(told["trees"]), told["samples"]
     many = f"{samples} sample{'s' * (samples != 1)}" if shown == samples else f"{shown} of {samples} samples"
+    frame = "" if told["frame"] is None else f"frame {told['frame']} of {told['frames']}, "
     return (
-        f"pixel {x},{y} of {width}x{height}, {many}, array {_cell(told['array'], 'x')}: "
+        f"{frame}pixel {x},{y} of {width}x{height}, {many}, array {_cell(told['array'], 'x')}: "
         f"linear {_three(told['linear'])}, sum {' '.join(map(str, told['sum']))}"
     )
 

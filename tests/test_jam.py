@@ -124,6 +124,16 @@ def test_the_command_prints_the_cycle_and_what_each_node_waits_for():
     assert "it cannot jam" in after
 
 
+@pytest.mark.parametrize(
+    ("room", "what"), [("16", "a single tree"), ("64", "more than 1 tree"), ("256", "more than 4 trees")]
+)
+def test_a_budget_without_a_promise_is_told_in_trees(room, what):
+    told = here("jam", str(SCENES / "kinds.nff"), "--room", room, "--budget", "5", "--size", "8x8")
+    assert told.out.rstrip().endswith(
+        f"nothing promises that it does not jam: the packets of {what} of rays can fill a buffer"
+    )
+
+
 def test_the_command_speaks_json():
     told = json.loads(here("jam", TINY, "--room", "16", "--budget", "2", "--json").out)
     assert told["without_admission"]["jammed"] is True

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from support_timed import job_of, scene_of, simulated
 
 from raygrid.host.cost_models import load_cost_model
 from raygrid.host.law import KINDS, Point, fit, law, shape_of, sweep, view_axis
+from raygrid.host.plots import pyplot
 from raygrid.node.errors import OutputError
 
 
@@ -40,6 +43,58 @@ def test_bounds_hold_the_truth_of_a_noisy_law():
     assert (np.abs(found.values - (0.5, 0.02, 0.03)) <= found.bounds).all()
     assert (found.bounds > 0.0).all()
     assert 0.98 < found.r2 < 1.0
+
+
+def uneven(kind):
+    """Frames as of real scenes: another power of n than the law has, and more spread where there are many rays."""
+    return points_by(kind, (0.1, 0.004, 0.06), ns=(1, 2, 3, 4, 6, 8, 12, 16), rays=(140, 590, 2400), power=1.3)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_fit_lies_through_the_points_and_not_under_them(kind):
+    """The geometric mean of T / fit is 1, since the law can be scaled; so half of the points or so lie above it."""
+    found = fit(uneven(kind))
+    times = np.array([p.seconds for p in found.points])
+    fitted = found.time([p.n for p in found.points], [p.rays for p in found.points])
+    assert np.exp(np.log(times / fitted).mean()) == pytest.approx(1.0, rel=1e-9)
+    assert found.residuals == pytest.approx(np.log(times / fitted))
+    assert found.above == np.count_nonzero(times > fitted)
+    assert 0.3 * len(times) < found.above < 0.7 * len(times)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_r2_is_that_of_what_was_fitted(kind):
+    """On the scale of the fit no law with one value has a smaller sum of squares, so R^2 is never below 0."""
+    found = fit(uneven(kind))
+    logs = np.log([p.seconds for p in found.points])
+    assert found.r2 == pytest.approx(1.0 - np.sum(found.residuals**2) / np.sum((logs - logs.mean()) ** 2))
+    flat = fit(points_by(kind, (2.0, 0.0, 0.0), noise=0.2))
+    assert -1e-9 < flat.r2 < 0.2
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", range(5))
+def test_no_other_values_fit_better(kind, seed):
+    """Against scipy's general least squares from many starts."""
+    from scipy.optimize import least_squares
+
+    rng = np.random.default_rng(seed)
+    points = points_by(kind, rng.lognormal(-3.0, 2.0, 3), power=float(rng.uniform(0.8, 3.2)), noise=0.2)
+    logs = np.log([p.seconds for p in points])
+    terms = law(KINDS[kind], [p.n for p in points], [p.rays for p in points])
+
+    def off(exponents):
+        return logs - np.log(terms @ np.exp(exponents))
+
+    best = min(2.0 * least_squares(off, rng.normal(-3.0, 3.0, 3)).cost for _ in range(20))
+    found = fit(points)
+    assert np.sum(found.residuals**2) <= best * (1.0 + 1e-6)
+    assert (found.values >= 0.0).all()
+
+
+def test_frames_that_take_no_time_are_refused():
+    with pytest.raises(OutputError, match="frames that take no time, wanted scenes that rays meet"):
+        fit([replace(point, seconds=0.0) for point in points_by("cubic", (1.0, 0.1, 0.1))])
 
 
 def test_another_power_is_seen():
@@ -97,6 +152,14 @@ def test_command(tmp_path):
     assert "A + B n + C R / n^2" in text
     assert "| tiny.nff | square |" in text
     assert (tmp_path / "law" / "law_tiny.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_without_matplotlib_the_law_names_its_own_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(OutputError, match=r"raygrid\[law\]"):
+        pyplot("law")
+    with pytest.raises(OutputError, match=r"raygrid\[plots\]"):
+        pyplot()
 
 
 def test_bad_edges_and_folders_are_one_line(tmp_path):

@@ -17,6 +17,7 @@ from raygrid.emulator.limits import (
     Bound,
     Resources,
     check_fits,
+    check_simulated_fits,
     largest_that_fits,
     parse_shape,
     read_resources,
@@ -238,3 +239,22 @@ def test_nothing_that_can_be_read_is_no_limit(tmp_path, monkeypatch):
     monkeypatch.setattr("resource.getrlimit", lambda which: (-1, -1))
     found = read_resources(tmp_path / "none", tmp_path / "none")
     assert min(found.memory.left, found.tasks.left, found.descriptors.left, found.all_files.left) == UNLIMITED
+
+
+# --- the simulator -------------------------------------------------------------------------------
+
+
+def test_a_simulated_array_is_held_against_memory():
+    memory = Bound(5_000 + 1_000 * 27_000, "memory.max of the control group")
+    check_simulated_fits((30, 30, 30), 64, bytes_per_node=1_000, fixed_bytes=5_000, memory=memory)
+    with pytest.raises(TooLarge) as error:
+        check_simulated_fits((27_001, 1, 1), 64, bytes_per_node=1_000, fixed_bytes=5_000, memory=memory)
+    assert str(error.value) == (
+        "a simulated 27001x1x1 array does not fit this computer: its 27001 processors and 64 samples need "
+        "28 MB of memory, and memory.max of the control group leaves 27 MB; largest that fits: 30x30x30"
+    )
+
+
+def test_a_picture_that_leaves_no_room_for_any_simulated_array():
+    with pytest.raises(TooLarge, match=r"its 1 processors and 9 samples need .* leaves 0 MB; nothing fits"):
+        check_simulated_fits((1, 1, 1), 9, bytes_per_node=1, fixed_bytes=10, memory=Bound(9, "the memory available"))

@@ -11,16 +11,16 @@ import urllib.request
 import numpy as np
 import pytest
 from support_cli import TINY, here, one_line, warm_kernels
+from support_probes import made, recorded
 from support_render import EIGHT, SCENES
 
 from raygrid.emulator.memory_array import MemoryArray
-from raygrid.emulator.samples import LinkSample, Sample, read_sample
+from raygrid.emulator.samples import read_sample
 from raygrid.host.chrome_trace import MOST_NODES, ChromeTrace
 from raygrid.host.job import Settings, make_job
 from raygrid.host.load import load_scene
 from raygrid.host.probe_record import Record, replay
 from raygrid.host.probe_sums import Gauges
-from raygrid.host.probe_view import MOST_ROWS, heat_maps, view
 from raygrid.host.probing import Probing
 from raygrid.host.prometheus import Endpoint
 from raygrid.host.render import render_job
@@ -224,15 +224,6 @@ def test_what_is_no_sample_is_refused(name, value):
 # --- what is made of them ----------------------------------------------------------------------------
 
 
-def made(node=(0, 0, 0), time=1.0, cpu=0.0, phase="trace", walks=0, served=0, epoch=0, number=0) -> Sample:
-    """A sample by hand."""
-    return Sample(
-        node, epoch, number, time, phase, {"primary": served}, {}, {}, walks, 0,
-        {"travellers": 1, "shadows": 2, "rays": 3}, {}, {"-x": 4}, {"+x": LinkSample(1, 2, 3, 4)}, 5,
-        {"resident": 1_000_000}, cpu, 0,
-    )  # fmt: skip
-
-
 def test_busy_and_rate_are_worked_out_between_two_samples():
     gauges = Gauges((2, 1, 1))
     assert gauges.take(made(time=1.0, cpu=0.5)).busy == 0.0
@@ -245,43 +236,6 @@ def test_busy_and_rate_are_worked_out_between_two_samples():
     assert (total["nodes"], total["held"], total["surfaces"], total["resident"]) == (2, 20, 10, 2_000_000)
     assert gauges.by_kind("born") == {"primary": 0}
     assert [state.sample.node for state in gauges] == [(0, 0, 0), (1, 0, 0)]
-
-
-def text_of(renderable, width=100) -> str:
-    from rich.console import Console
-
-    console = Console(width=width, no_color=True)
-    with console.capture() as text:
-        console.print(renderable)
-    return text.get()
-
-
-def test_the_view_has_a_row_a_node_and_a_map_a_layer():
-    gauges = Gauges((3, 2, 2))
-    for time, cpu in ((1.0, 0.0), (2.0, 1.0)):
-        for z in range(2):
-            for y in range(2):
-                for x in range(3):
-                    if (x, y, z) != (2, 1, 1):
-                        gauges.take(made(node=(x, y, z), time=time, cpu=cpu * x / 2))
-    shown = text_of(view(gauges))
-    assert "3x2x2: 11 of 12 nodes, trace; busy 5.00 processors" in shown
-    assert "1,0,1 trace 0.50" in " ".join(shown.split())
-    maps = text_of(heat_maps(gauges)).splitlines()
-    assert "z=0" in maps[0]
-    assert "z=1" in maps[0]
-    assert ["".join(line.split()) for line in maps[1:3]] == ["..++@@..++??", "..++@@..++@@"]
-
-
-def test_a_large_array_shows_its_busiest_nodes():
-    gauges = Gauges((10, 10, 1))
-    for time in (1.0, 2.0):
-        for k in range(100):
-            gauges.take(made(node=(k % 10, k // 10, 0), time=time, cpu=(time - 1) * k / 100))
-    shown = text_of(view(gauges))
-    assert f"the {MOST_ROWS} busiest of 100 nodes" in shown
-    assert "9,9,0 trace 0.99" in " ".join(shown.split())
-    assert "0,0,0" not in shown
 
 
 def test_the_trace_file_has_bars_and_counters_of_each_node(tmp_path):
@@ -419,12 +373,7 @@ def test_without_the_library_the_endpoint_says_so(monkeypatch):
 
 @pytest.fixture
 def recording(tmp_path) -> str:
-    path = str(tmp_path / "r.jsonl")
-    with Probing((2, 1, 1), 10.0, path) as probing:
-        for time in (1.0, 2.0):
-            for x in (0, 1):
-                probing.take(made(node=(x, 0, 0), time=time, cpu=time * x / 2))
-    return path
+    return recorded(tmp_path / "r.jsonl")
 
 
 def test_a_recording_is_shown(recording):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,13 +15,18 @@ from support_space import even_space
 from support_surfaces import batch
 from support_timed import books_of, job_of, simulated
 
-from raygrid.emulator import simulator
+from raygrid.emulator import limits, simulator
 from raygrid.emulator.flood_time import flood
+from raygrid.emulator.limits import Bound
 from raygrid.emulator.memory_array import MemoryArray
 from raygrid.emulator.shared_tables import ordered
+from raygrid.emulator.simulator import BOOKS_BYTES, NODE_BYTES
+from raygrid.host import plots
+from raygrid.host.command_simulate import in_words, summary
 from raygrid.host.cost_models import load_cost_model
 from raygrid.host.render import render_job
 from raygrid.host.simulate_stats import make_stats
+from raygrid.node.errors import TooLarge
 from raygrid.node.packets import PRIMARY, RETURN
 from raygrid.node.surfaces import Kind, SurfaceSet
 from raygrid.node.tables import BORN, BOXES, COUNTS, HITS, SENT, TESTS, WALKS
@@ -197,11 +204,116 @@ def test_command(tmp_path):
     assert np.array_equal(sums, emulated_untimed(job_of("tiny.nff", (2, 2, 2), (24, 20))).sums)
 
 
+def peak():
+    """The most memory that this process has had resident since `forget_peak`."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return int(next(line.split()[1] for line in lines if line.startswith("VmHWM:"))) * 1024
+
+
+def forget_peak():
+    Path("/proc/self/clear_refs").write_text("5")
+    return peak()
+
+
+def test_what_is_held_against_memory_is_what_is_taken():
+    """All costs, set-up and read-out: each phase has books of its own, and not all are there at once."""
+    simulated(job_of("tiny.nff", (2, 2, 2), (8, 8)), "8086", band=True, around=True)  # kernels are loaded
+    job, before = job_of("tiny.nff", (60, 60, 60), (8, 8)), forget_peak()
+    simulated(job, "8086", band=True, around=True)
+    nodes = 60**3
+    assert peak() - before <= nodes * (NODE_BYTES + 2 * BOOKS_BYTES) + 16_000_000  # packets in flight, tables
+    assert peak() - before >= nodes * 2 * BOOKS_BYTES * 0.5
+
+
+def test_an_array_beyond_memory_is_refused_before_anything_is_worked_out(monkeypatch):
+    def never(*_):
+        raise AssertionError("it has begun")
+
+    job = job_of("tiny.nff", (30, 30, 30), (8, 8))
+    left = 20**3 * (NODE_BYTES + 2 * BOOKS_BYTES) + 8_000_000
+    monkeypatch.setattr(limits, "read_memory", lambda: Bound(left, "the memory available"))
+    monkeypatch.setattr(simulator, "holdings", never)
+    for options in ({"band": True}, {"around": True}):
+        with pytest.raises(
+            TooLarge, match=r"a simulated 30x30x30 array .* leaves \d+ MB; largest that fits: 2\dx2\dx2\d"
+        ):
+            simulated(job, "8086", **options)
+
+
+@pytest.mark.parametrize("shape", [(4, 3, 2), (12, 1, 1), (1, 1, 1), (2, 2, 12)])
+def test_heat_maps_have_axes_with_the_numbers_of_processors(shape):
+    figure = plots._layers(np.arange(float(np.prod(shape))), shape, "title", "scale")
+    drawn = [axis for axis in figure.axes if axis.get_title()]
+    assert [axis.get_title() for axis in drawn] == [f"z = {z}" for z in range(shape[2])]
+    assert drawn[0].get_ylabel() == "y"
+    assert drawn[-1].get_xlabel() == "x"
+    for axis in drawn:
+        for ticks, ends, side in ((axis.get_xticks(), axis.get_xlim(), 0), (axis.get_yticks(), axis.get_ylim(), 1)):
+            seen = [tick for tick in ticks if ends[0] <= tick <= ends[1]]
+            assert seen
+            assert all(tick == int(tick) and 0 <= tick < shape[side] for tick in seen)
+    width, height = figure.get_size_inches()
+    assert max(width / height, height / width) < 8.0
+    plots.pyplot().close(figure)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [
+        (0.0, "0 s"),
+        (0.01234, "0.0123 s"),
+        (59.4, "59.4 s"),
+        (59.9, "1 min"),
+        (60, "1 min"),
+        (125.3, "2 min 5 s"),
+        (3599.7, "1 h"),
+        (15_830, "4 h 24 min"),
+        (86_390, "1 d"),
+        (86400 * 12 + 3 * 3600 + 1799, "12 d 3 h"),
+        (1e9, "11,574 d 2 h"),
+    ],
+)
+def test_times_in_words(seconds, words):
+    assert in_words(seconds) == words
+
+
+def test_the_summary_names_the_busiest_node_and_link():
+    done = simulated(job_of("kinds.nff", (3, 3, 2), (24, 20)), "8086", band=True, around=True)
+    stats = make_stats(done)
+    busy = {tuple(node[axis] for axis in "xyz"): node["busy_ticks"] for node in stats["nodes"]}
+    x, y, z = stats["busiest"]["node"]
+    assert busy[x, y, z] == max(busy.values()) == stats["busiest"]["ticks"]
+    assert stats["busiest"]["share"] == stats["busiest"]["ticks"] / stats["ticks"]
+    link = stats["links"]["busiest"]
+    (sender,) = (node for node in stats["nodes"] if [node[axis] for axis in "xyz"] == link["node"])
+    assert sender[f"sent{link['port']}"] == link["packets"] > 0
+    text = "\n".join(summary(done, stats))
+    assert (
+        f"busiest processor: {x},{y},{z}, at work {stats['busiest']['share']:.1%} of the frame; busiest link: " in text
+    )
+    ends = re.search(r"busiest link: (\d),(\d),(\d) to (\d),(\d),(\d) \(([-+])([xyz])\)", text)
+    steps = [int(ends[4 + axis]) - int(ends[1 + axis]) for axis in range(3)]
+    assert steps == [(1 if ends[7] == "+" else -1) if axis == ends[8] else 0 for axis in "xyz"]
+    assert "e+" not in text
+    seconds = stats["seconds"]
+    assert f"{seconds:.4g} machine seconds ({in_words(seconds)}); low to high costs: " in text
+
+
+def test_a_single_node_has_no_busiest_link():
+    done = simulated(job_of("tiny.nff", (1, 1, 1), (8, 8)), "unit")
+    assert "busiest processor: 0,0,0, " in (text := "\n".join(summary(done, make_stats(done))))
+    assert "no packet went from one to another" in text
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "pattern"),
     [
         (["--cost", "8088"], 1, r"raygrid: a cost model came as '8088', wanted one of 8086, .* or a \.toml file"),
-        (["--array", "3000x3000x3000"], 1, r"raygrid: simulating 3000x3000x3000 processors .* GB of memory, .*"),
+        (
+            ["--array", "3000x3000x3000"],
+            1,
+            r"raygrid: a simulated 3000x3000x3000 array does not fit this computer: its 27000000000 processors and 64 samples need .* TB of memory, and .* leaves .*; largest that fits: (\d+)x\1x\1",
+        ),
         (["--plots", "/nowhere/at/all"], 1, r"raygrid: /nowhere/at/all: there is no such folder for plots, .*"),
         (["--search", "hash"], 2, r"raygrid simulate: .*"),
     ],
