@@ -73,13 +73,14 @@ class Event(NamedTuple):
 @dataclass
 class Options:
     """Of the array: processors on each axis, most packets a message, seconds until it is taken to hang, its journal,
-    and whether it takes programs."""
+    whether it takes programs, and whether scenes may refer to files outside their folders."""
 
     shape: tuple[int, int, int]
     batch: int = 4096
     patience: float = 30.0
     journal: Path = field(default_factory=Path)
     programs: bool = False
+    outside: bool = False
 
 
 class Worker(threading.Thread):
@@ -151,7 +152,7 @@ class Worker(threading.Thread):
             from raygrid.host.journal import Journal
             from raygrid.host.scene_store import SceneStore
 
-            self._store = SceneStore(self._options.shape)
+            self._store = SceneStore(self._options.shape, self._options.outside)
             self._journal = Journal(self._options.journal)
         except Interrupted:
             return False
