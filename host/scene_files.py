@@ -15,7 +15,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
@@ -40,8 +40,8 @@ class Reach:
 
     folders: tuple[str, ...] | None
     remedy: str
-    bytes_left: int = MOST_BYTES
-    texels_left: int = MOST_TEXELS
+    bytes_left: int = field(default_factory=lambda: MOST_BYTES)
+    texels_left: int = field(default_factory=lambda: MOST_TEXELS)
 
     def check(self, path: Path, place: str) -> None:
         """Raise SceneError if a real path is not within reach; `path` is what it was called."""

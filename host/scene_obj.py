@@ -23,7 +23,7 @@ import numpy as np
 from raygrid.host.scene_builder import MAX_COORDINATE, SceneBuilder, plural, shown
 from raygrid.host.scene_files import read_bytes
 from raygrid.host.scene_mtl import GREY, WHITE, Mtl, as_text, find_named, read_mtl
-from raygrid.host.scene_polygons import Ints, triangulate
+from raygrid.host.scene_polygons import Ints
 from raygrid.host.textures import Bytes, as_bytes, bake
 from raygrid.node.errors import SceneError
 from raygrid.node.surfaces import F64, Kind
@@ -58,8 +58,7 @@ class ObjReader:
             raise SceneError(f"{self.path}: the file has no faces, wanted at least one")
         points, colours = self._points()
         corners, starts = self._corners(len(points))
-        rows, owner, crossing = triangulate(points[corners[:, 0]], starts)
-        builder.count_crossing(crossing)
+        rows, owner = builder.triangulate(points[corners[:, 0]], starts)
         used = corners[rows]  # (t, 3, 3): triangle, corner, indices into v, vt, vn
         data = points[used[..., 0]].reshape(-1, 9)
         materials = self._materials(builder, used, np.array(self._face_materials, np.int64)[owner], colours)

@@ -8,6 +8,7 @@ import json
 import os
 import socket
 import struct
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -307,3 +308,114 @@ def test_remarks_are_told_once_and_not_without_end(tmp_path: Path) -> None:
     remarks = load_scene(tmp_path / "s.obj").remarks
     assert len(remarks) == len(set(remarks)) == 101
     assert remarks[-1] == "and 203 remarks more"
+
+
+# --- how much a scene may bring
+
+
+def large_png(width: int, height: int) -> bytes:
+    """A few kilobytes that say they are so many texels."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(bytes(100))) + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize("size", [(8193, 8192), (13_000, 13_000), (60_000, 60_000)])
+def test_a_texture_is_measured_before_it_is_decoded(tmp_path: Path, size: tuple[int, int]) -> None:
+    scene = scene_that_names(tmp_path, "map_Kd", "x.png")
+    (tmp_path / "x.png").write_bytes(large_png(*size))
+    text = refused(scene)
+    assert "x.png: the texture " in text
+    assert "wanted at most 67,108,864" in text
+
+
+def test_textures_are_measured_together_and_one_that_is_shared_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("raygrid.host.scene_files.MOST_TEXELS", 10)
+    (tmp_path / "s.obj").write_text(TEXTURED)
+    (tmp_path / "a.png").write_bytes(png())
+    (tmp_path / "x.mtl").write_text("".join(f"newmtl {k}\nmap_Kd a.png\n" for k in "ABCDE"))
+    load_scene(tmp_path / "s.obj")
+    for k in "BCDE":
+        (tmp_path / f"{k}.png").write_bytes(png())
+    (tmp_path / "x.mtl").write_text("".join(f"newmtl {k}\nmap_Kd {k}.png\n" for k in "BCDE"))
+    assert "D.png: the scene's textures have more than 10 texels together" in refused(tmp_path / "s.obj")
+
+
+@pytest.mark.parametrize("contents", [b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n", b"no picture"])
+def test_no_other_program_is_called_for_a_texture(tmp_path: Path, contents: bytes) -> None:
+    scene = scene_that_names(tmp_path, "map_Kd", "x.png")
+    (tmp_path / "x.png").write_bytes(contents)
+    assert "it is of no format known, wanted one of: PNG JPEG WEBP" in refused(scene)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a" + ".a" * 50_000 + " = 1\n",
+        "[a" + " . 'b c'" * 60 + "]\n",
+        '[[surfaces]]\nx = {"a"' + ' . "a"' * 60 + " = 1}\n",
+    ],
+)
+def test_a_key_has_not_too_many_parts(tmp_path: Path, text: str) -> None:
+    (tmp_path / "s.toml").write_text(text)
+    assert "has a key of more than 50 parts" in refused(tmp_path / "s.toml")
+
+
+@pytest.mark.parametrize("text", ["x = " + "9" * 5000, "samples = 0x" + "f" * 5000, "[image]\nwidth = 0x" + "f" * 5000])
+def test_numbers_of_thousands_of_digits_are_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "s.toml").write_text(text)
+    refused(tmp_path / "s.toml")
+
+
+def ring(corners: int, out: float) -> list[tuple[float, float, float]]:
+    """A polygon around the origin; every other corner is so much further out."""
+    at = np.linspace(0.0, 2.0 * np.pi, corners, endpoint=False)
+    far = 1.0 + out * (np.arange(corners) % 2)
+    return [(float(r * np.cos(t)), float(r * np.sin(t)), 0.0) for r, t in zip(far, at, strict=True)]
+
+
+@pytest.mark.parametrize("suffix", ["obj", "ply", "nff", "toml"])
+def test_a_polygon_has_not_more_corners_than_can_be_worked_on(tmp_path: Path, suffix: str) -> None:
+    points = ring(5002, 0.5)
+    lines = [f"{x} {y} {z}" for x, y, z in points]
+    numbers = " ".join(map(str, range(1, len(points) + 1)))
+    text = {
+        "obj": "".join(f"v {line}\n" for line in lines) + f"f {numbers}\n",
+        "ply": f"ply\nformat ascii 1.0\nelement vertex {len(points)}\nproperty float x\nproperty float y\nproperty float z\n"
+        "element face 1\nproperty list int int vertex_indices\nend_header\n"
+        + "\n".join(lines)
+        + f"\n{len(points)} {' '.join(map(str, range(len(points))))}\n",
+        "nff": NFF + f"p {len(points)}\n" + "\n".join(lines) + "\n",
+        "toml": f'[[surfaces]]\nkind = "polygon"\npoints = {[list(point) for point in points]}\n',
+    }[suffix]
+    (tmp_path / f"s.{suffix}").write_text(text)
+    assert "has 5,002 corners, wanted at most 5,000" in refused(tmp_path / f"s.{suffix}")
+
+
+def test_a_convex_face_may_have_any_number_of_corners(tmp_path: Path) -> None:
+    lines = "".join(f"v {x} {y} {z}\n" for x, y, z in ring(20_000, 0.0))
+    (tmp_path / "s.obj").write_text(lines + f"f {' '.join(map(str, range(1, 20_001)))}\n")
+    assert len(load_scene(tmp_path / "s.obj").surfaces) == 19_998
+
+
+def test_a_mesh_that_is_placed_over_and_over_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("raygrid.host.scene_builder.MOST_NUMBERS", 100)
+    (tmp_path / "m.obj").write_text(TEXTURED)
+    (tmp_path / "s.toml").write_text('[[meshes]]\nfile = "m.obj"\n' * 6)
+    assert len(load_scene(tmp_path / "m.obj").surfaces) == 2
+    assert "s.toml: the surfaces have more than 100 numbers together" in refused(tmp_path / "s.toml")
+
+
+def test_files_have_a_length_at_most_each_and_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = scene_that_names(tmp_path, "buffer", "x.bin")
+    with open(tmp_path / "x.bin", "wb") as file:
+        file.truncate((1 << 30) + 1)
+    assert "x.bin: the file has 1,073,741,825 bytes or more, wanted at most 1,073,741,824" in refused(scene)
+    (tmp_path / "x.bin").write_bytes(TRIANGLE)
+    monkeypatch.setattr("raygrid.host.scene_files.MOST_BYTES", scene.stat().st_size + 10)
+    assert "x.bin: with this file the scene has more than" in refused(scene)
