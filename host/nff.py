@@ -66,6 +66,7 @@ def parse_nff(path: Path, text: bytes) -> Scene:
         background=colour(background[0]) if len(background) else (0.0, 0.0, 0.0),
         size=size,
         remarks=remarks,
+        up=colour(words.columns(words.of("up"), 3)[0]),
     )
 
 

@@ -86,7 +86,8 @@ class _Reader:
             depth=image.depth,
             min_weight=image.min_weight,
         )
-        return replace(scene, rules=self._rules(len(scene.materials)), shot=self._shot(scene, first_lights))
+        up = file.camera.up if file.camera else base.up if base else scene.up
+        return replace(scene, up=up, rules=self._rules(len(scene.materials)), shot=self._shot(scene, first_lights))
 
     def _rules(self, materials: int) -> F64 | None:
         """The numbers that materials have for a program; None if none has any."""

@@ -241,8 +241,8 @@ class Worker(threading.Thread):
         picture = self.keeper.render(ready, request.budget, self._watch(task, ready))
         self._tell(task, "write", 1.0, 0)
         self._write(picture, files, stats, request.transfer, digest)
-        if picture.stats["total"]["hits"] == 0:
-            self._note(task, ["no ray of the camera meets a surface: the picture shows the background only"])
+        if (blank := picture.blank()) is not None:
+            self._note(task, [blank if task.frame is None else f"frame {task.frame}: {blank}"])
         seconds = dict(picture.stats["wall_seconds"]) | {"whole": round(time.perf_counter() - begun, 6)}
         return Event("done", task, facts | {"seconds": seconds})
 

@@ -3,6 +3,7 @@ of their text is shown."""
 
 from __future__ import annotations
 
+import base64
 import io
 import json
 import os
@@ -419,3 +420,59 @@ def test_files_have_a_length_at_most_each_and_together(tmp_path: Path, monkeypat
     (tmp_path / "x.bin").write_bytes(TRIANGLE)
     monkeypatch.setattr("raygrid.host.scene_files.MOST_BYTES", scene.stat().st_size + 10)
     assert "x.bin: with this file the scene has more than" in refused(scene)
+
+
+def chain(many: int) -> list[dict[str, Any]]:
+    """Nodes below each other, a mesh at the bottom."""
+    return [{"children": [k + 1]} for k in range(many - 1)] + [{"mesh": 0}]
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        (gltf(nodes=chain(201)), "nodes[200] lies below 200 others, wanted fewer"),
+        (gltf(extras=[[0] * 1000] * 17_000), "the JSON has 17,"),
+        (gltf("x" * 20_000), "buffers[0].uri has 20,000 characters, wanted the name of a file"),
+        (gltf("data:," + "%41" * 6_000_000), "buffers[0].uri has 18,000,000 characters, wanted base64"),
+        (
+            gltf(accessors=[{"componentType": 5126, "count": 10**8, "type": "VEC3"}]),
+            "has 100000000 values and no bufferView",
+        ),
+        (
+            gltf(bufferViews=[{"buffer": 0, "byteLength": len(TRIANGLE), "byteStride": 1}]),
+            "accessors[0] has values of 12 bytes every 1 bytes, wanted them apart",
+        ),
+    ],
+    ids=range(6),
+)
+def test_gltf_documents_have_limits(tmp_path: Path, text: str, line: str) -> None:
+    (tmp_path / "s.gltf").write_text(text)
+    (tmp_path / "x.bin").write_bytes(TRIANGLE)
+    assert line in refused(tmp_path / "s.gltf")
+    (tmp_path / "s.gltf").write_text(gltf(nodes=chain(200)))
+    assert len(load_scene(tmp_path / "s.gltf").surfaces) == 1
+
+
+def test_gltf_textures_may_be_webp_alone_and_are_decoded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = io.BytesIO()
+    Image.fromarray(np.full((2, 2, 3), (255, 0, 0), np.uint8)).save(file, "WEBP", lossless=True)
+    uri = "data:image/webp;base64," + base64.b64encode(file.getvalue()).decode()
+    monkeypatch.setattr("raygrid.host.scene_files.MOST_TEXELS", 4)
+    attributes, buffer = {"POSITION": 0, "TEXCOORD_0": 1}, TRIANGLE + struct.pack("<6f", *(0.5,) * 6)
+    text = gltf(
+        extensionsUsed=["EXT_texture_webp"],
+        extensionsRequired=["EXT_texture_webp"],
+        meshes=[{"primitives": [{"attributes": attributes, "material": k} for k in range(3)]}],
+        materials=[{"pbrMetallicRoughness": {"metallicFactor": 0, "baseColorTexture": {"index": 0}}} for _ in range(3)],
+        textures=[{"extensions": {"EXT_texture_webp": {"source": 0}}}],
+        images=[{"uri": uri}],
+        accessors=[
+            {"bufferView": 0, "componentType": 5126, "count": 3, "type": kind, "byteOffset": at}
+            for kind, at in (("VEC3", 0), ("VEC2", len(TRIANGLE)))
+        ],
+        bufferViews=[{"buffer": 0, "byteLength": len(buffer)}],
+        buffers=[{"uri": "x.bin", "byteLength": len(buffer)}],
+    )
+    (tmp_path / "x.bin").write_bytes(buffer)
+    (tmp_path / "s.gltf").write_text(text)
+    assert np.allclose(load_scene(tmp_path / "s.gltf").materials["diffuse"], [[1, 0, 0]])
