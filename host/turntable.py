@@ -21,7 +21,8 @@ def turntable(scene: Scene, frames: int, turn_scene: bool = False) -> Scene:
     """The scene as a shot of one turn, frame 1 being as it stands.
 
     The axis goes through the point that the camera looks at, along that axis of the world (x, y or z) to which what is
-    up in the world is nearest, however the camera is tilted. Either the camera turns round it, or all surfaces turn the other way, under lights that stay.
+    up in the world is nearest, however the camera is tilted. Either the camera turns round it, or all surfaces turn the
+    other way, under lights that stay.
     Raises SceneError for a number of frames that cannot be, and for a scene that moves already.
     """
     if not 1 <= frames <= MAX_FRAMES:

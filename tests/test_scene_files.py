@@ -19,7 +19,9 @@ from PIL import Image
 from support_cli import here, one_line
 from support_render import SCENES
 
+from raygrid.host.job import Settings
 from raygrid.host.load import load_scene
+from raygrid.host.scene_store import SceneStore, Wanted
 from raygrid.host.sources import recorded
 from raygrid.node.errors import SceneError
 
@@ -476,3 +478,30 @@ def test_gltf_textures_may_be_webp_alone_and_are_decoded_once(tmp_path: Path, mo
     (tmp_path / "x.bin").write_bytes(buffer)
     (tmp_path / "s.gltf").write_text(text)
     assert np.allclose(load_scene(tmp_path / "s.gltf").materials["diffuse"], [[1, 0, 0]])
+
+
+@pytest.mark.parametrize("how", ["mtllib", "map_Kd"])
+def test_the_scene_that_an_array_keeps_is_read_anew_when_what_was_missing_has_come(tmp_path: Path, how: str) -> None:
+    file, contents = CONTENTS[how]
+    path, store = str(scene_that_names(tmp_path, how, file)), SceneStore((1, 1, 1))
+    wanted = Wanted(path, Settings(size=(8, 8)))
+    before = store.frame(wanted, None)
+    assert store.frame(wanted, None) is before
+    (tmp_path / file).write_bytes(contents)
+    after = store.frame(wanted, None)
+    assert after.contents != before.contents
+    assert after.digest(None, "srgb") != before.digest(None, "srgb")
+    assert any("is missing" in remark for remark in before.remarks)
+    assert not any("is missing" in remark for remark in after.remarks)
+
+
+@pytest.mark.parametrize("allowed", [False, True])
+def test_an_array_that_stays_reads_outside_as_whoever_started_it_decided(tmp_path: Path, allowed: bool) -> None:
+    (tmp_path / "f.nff").write_text(NFF)
+    scene = scene_that_names(tmp_path / "scene", "include", "../f.nff")
+    store = SceneStore((1, 1, 1), allowed)
+    if allowed:
+        assert len(store.scene(str(scene))[1].surfaces) == 1
+    else:
+        with pytest.raises(SceneError, match="wanted one within, or raygrid up --allow-outside for scenes"):
+            store.scene(str(scene))
