@@ -21,7 +21,7 @@ from typing import Any
 import click
 
 from raygrid.host import cli_inspect, cli_machine, cli_service
-from raygrid.host.cli_types import Fault, Frames, Number, Pair, Shape, debug_option
+from raygrid.host.cli_types import Fault, Frames, Number, Pair, Shape, debug_option, outside_option
 
 DEBUG = "RAYGRID_DEBUG"
 # Of what a command imports nearly all stays: looking it through for cycles as often as by default takes a sixth of the time.
@@ -48,7 +48,7 @@ Examples:
   raygrid render bunny.ply -o bunny.png -o bunny.npy --stats bunny.json
   raygrid render balls.nff --array 4x4x1 --split uniform --batch 1
   raygrid render scenes/mobile.toml --frames 1-48 -o 'out/mobile_%04d.png' -o out/mobile.gif
-  raygrid render scenes/room.glb --turntable 72 -o out/round.webp
+  raygrid render scenes/glass.toml --turntable 72 -o out/round.webp
   raygrid render scenes/rings.toml --program scenes/programs/torus.py --allow-programs -o rings.png
 
 .npy holds the exact sums as int64, height x width x 3: linear radiance x 2^24, added over the samples of a pixel.
@@ -130,6 +130,7 @@ def cli() -> None:
               help="For experiments: links between neighbours drop, double, reorder, delay, corrupt or truncate this part "
                    "of their messages; --patience is then 3 at most.  [default rate: 0.0001]")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors. (Without a terminal there is hardly any.)")
+@outside_option
 @debug_option
 def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **options: Any) -> None:
     """Render a scene file on an array of processes.
@@ -177,6 +178,7 @@ def load(program: str, shape: tuple[int, int, int], allow_programs: bool, quiet:
 @cli.command(epilog=INFO_EXAMPLES)
 @click.argument("scene")
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
+@outside_option
 @debug_option
 def info(scene: str, as_json: bool) -> None:
     """Say what is in a scene file.
@@ -203,6 +205,7 @@ def info(scene: str, as_json: bool) -> None:
     help="File to write.  [default: the scene's name with .pov, here]",
 )
 @click.option("--frame", type=Number(1, 1_000_000), metavar="N", help="The frame of a shot.  [default: 1]")
+@outside_option
 @debug_option
 def export(scene: str, depth: int | None, highlights: bool | None, output: str | None, frame: int | None) -> None:
     """Write a scene file for POV-Ray 3.7.
@@ -222,6 +225,8 @@ cli_inspect.add_commands(cli, debug_option)
 
 def _lines(facts: dict[str, Any], indent: str = "") -> Iterator[str]:
     """Facts as indented text."""
+    from raygrid.host.clean_text import printable
+
     for name, value in facts.items():
         label = f"{indent}{name.replace('_', ' ')}:"
         if isinstance(value, dict):
@@ -233,7 +238,7 @@ def _lines(facts: dict[str, Any], indent: str = "") -> Iterator[str]:
                 yield (
                     indent
                     + "  "
-                    + (item if isinstance(item, str) else ", ".join(f"{k} {_short(v)}" for k, v in item.items()))
+                    + (printable(item) if isinstance(item, str) else ", ".join(f"{k} {_short(v)}" for k, v in item.items()))
                 )
         else:
             yield f"{label} {_short(value)}"
@@ -329,6 +334,9 @@ def _told(error: Exception) -> str:
 
 
 def _say(line: str) -> None:
+    from raygrid.host.clean_text import printable
+
+    line = printable(line)
     with contextlib.suppress(OSError, ValueError):
         click.echo(line, err=True)
 

@@ -49,6 +49,17 @@ def wants_frames(request: Request) -> bool:
     return request.frames is not None or request.turntable is not None or named_so
 
 
+def as_ranges(frames: list[int]) -> str:
+    """Ascending numbers of frames, in words: "frames 3-5, 9"."""
+    ranges: list[list[int]] = []
+    for number in frames:
+        if ranges and number == ranges[-1][-1] + 1:
+            ranges[-1][1:] = [number]
+        else:
+            ranges.append([number])
+    return f"frame{'s' * (len(frames) > 1)} {', '.join('-'.join(map(str, each)) for each in ranges)}"
+
+
 def run_frames(request: Request) -> None:
     """Launch, read, and for each frame load or increment, trace, collect, write. Raises RaygridError."""
     from raygrid.host.command_render import launching
@@ -66,13 +77,18 @@ def run_frames(request: Request) -> None:
             fps = scene.shot.fps if scene.shot is not None else 1.0
             files = [reels.enter_context(Reel(output, fps)) for output in played]
             rate = 0.0
+            blank: dict[str, list[int]] = {}
             for picture, number in _pictures(request, scene, numbers, array, talk):
                 talk.phase(f"writing frame {number}")
                 written += _save(request, picture, number)
                 for file in files:
                     file.add(picture.bytes(request.transfer))
                 rate += picture.stats["wall_seconds"]["trace"]
+                if (said := picture.blank()) is not None:
+                    blank.setdefault(said, []).append(number)
             talk.phase("ending the processors")
+        for said, frames in blank.items():
+            talk.remark(f"{as_ranges(frames)}: {said}")
         for file in files:
             talk.phase(f"writing {file.path}")
             file.write()

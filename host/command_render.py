@@ -93,8 +93,8 @@ def run_render(request: Request) -> None:
             from raygrid.host.stats import save_stats
 
             save_stats(request.stats, picture.stats)
-        if picture.stats["total"]["hits"] == 0:
-            talk.remark("no ray of the camera meets a surface: the picture shows the background only")
+        if (blank := picture.blank()) is not None:
+            talk.remark(blank)
         for line in _summary(picture):
             talk.say(line)
         if request.profile:

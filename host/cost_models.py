@@ -6,7 +6,6 @@ middle and high, or one number that stands for all three.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -17,8 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, Strict, ValidationError
 
+from raygrid.host.regular_file import read_regular
 from raygrid.host.scene_builder import shown
 from raygrid.host.scene_toml_errors import Key, located, shown_key
+from raygrid.host.toml_text import read_toml
 from raygrid.node.errors import CostError
 from raygrid.node.packets import PIXEL, PRIMARY, REFLECTED, REFRACTED, RETURN, SHADOW, SIZE
 from raygrid.node.surfaces import Kind
@@ -32,9 +33,14 @@ MOST_TICKS = 10**12  # so that no sum of ticks leaves 64 bits
 LARGEST_FILE = 1 << 20  # bytes
 
 
+def _whole(value: Any) -> Any:
+    """5e6 is a whole number, however TOML sees it."""
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
 def _tripled(value: Any) -> Any:
     """One number stands for low, middle and high."""
-    return [value] * 3 if isinstance(value, int) and not isinstance(value, bool) else value
+    return [value] * 3 if isinstance(_whole(value), int) and not isinstance(value, bool) else value
 
 
 def _ascending(value: tuple[int, int, int]) -> tuple[int, int, int]:
@@ -43,8 +49,9 @@ def _ascending(value: tuple[int, int, int]) -> tuple[int, int, int]:
     return value
 
 
-Ticks = Annotated[int, Strict(), Field(ge=0, le=MOST_TICKS)]
-SomeTicks = Annotated[int, Strict(), Field(ge=1, le=MOST_TICKS)]
+Whole = Annotated[int, Strict(), BeforeValidator(_whole)]
+Ticks = Annotated[Whole, Field(ge=0, le=MOST_TICKS)]
+SomeTicks = Annotated[Whole, Field(ge=1, le=MOST_TICKS)]
 Cost = Annotated[tuple[Ticks, Ticks, Ticks], BeforeValidator(_tripled), AfterValidator(_ascending)]
 SomeCost = Annotated[tuple[SomeTicks, SomeTicks, SomeTicks], BeforeValidator(_tripled), AfterValidator(_ascending)]
 
@@ -58,7 +65,7 @@ class Table(BaseModel):
 class LinkTable(Table):
     """[link]"""
 
-    bytes_per_second: Annotated[int, Strict(), Field(ge=1, le=10**15)]
+    bytes_per_second: Annotated[Whole, Field(ge=1, le=10**15)]
     latency: SomeCost
     moves: Literal["processor", "link"]
 
@@ -97,7 +104,7 @@ class CostFile(Table):
     """The whole file."""
 
     about: Annotated[str, Strict(), Field(min_length=1)]
-    hertz: Annotated[int, Strict(), Field(ge=1, le=10**15)]
+    hertz: Annotated[Whole, Field(ge=1, le=10**15)]
     search: Literal["list", "tree"]
     link: LinkTable
     ticks: TicksTable
@@ -169,26 +176,20 @@ def load_cost_model(name: str) -> CostModel:
             raise CostError(
                 f"a cost model came as {shown(name)}, wanted one of {', '.join(built_in())} or a .toml file"
             )
-        text = (resources.files("raygrid.emulator") / "costs" / f"{name}.toml").read_text("utf-8")
-        return CostModel(name, _checked(Path(f"{name}.toml"), text))
+        data = (resources.files("raygrid.emulator") / "costs" / f"{name}.toml").read_bytes()
+        return CostModel(name, _checked(Path(f"{name}.toml"), data))
     path = Path(name)
     try:
-        with path.open("rb") as file:
-            data = file.read(LARGEST_FILE + 1)
-        if len(data) > LARGEST_FILE:
-            raise CostError(f"{path}: the cost model has more than {LARGEST_FILE} bytes")
-        text = data.decode("utf-8")
+        data = read_regular(path, LARGEST_FILE)
     except OSError as error:
         raise CostError(f"{path}: the cost model cannot be read ({error.strerror or error})") from None
-    except (UnicodeDecodeError, ValueError) as error:
-        raise CostError(f"{path}: the cost model cannot be read ({error})") from None
-    return CostModel(name, _checked(path, text))
+    return CostModel(name, _checked(path, data))
 
 
-def _checked(path: Path, text: str) -> CostFile:
+def _checked(path: Path, data: bytes) -> CostFile:
     try:
-        tables = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        text, tables = read_toml(data)
+    except ValueError as error:
         raise CostError(f"{path}: the TOML cannot be read ({error})") from None
     try:
         return CostFile.model_validate(tables)

@@ -55,8 +55,10 @@ KNOWN = {
     "KHR_materials_unlit",
     "KHR_mesh_quantization",
     "KHR_texture_transform",
+    "EXT_texture_webp",
 }
 TRIANGLES, STRIP, FAN = 4, 5, 6
+MOST_DEEP = 200  # nodes below each other; of each the whole path is kept
 CLOSEST = 1e-3  # of the box's diagonal: a light at the very point looked at must not make all else black
 
 
@@ -161,6 +163,8 @@ class _Reader:
             if not (np.abs(matrix) <= MAX_COORDINATE).all():
                 raise self.document.error(f"nodes[{number}] has a transform that is not finite, or beyond 1e30")
             path = (*above, (number, row))
+            if len(path) > MOST_DEEP:
+                raise self.document.error(f"nodes[{number}] lies below {MOST_DEEP} others, wanted fewer")
             yield Part(part_names(path), path), matrix
             waiting += [(child, matrix, path) for child in reversed(row.get("children", ()))]
 

@@ -24,11 +24,12 @@ from numpy.typing import NDArray
 
 from raygrid.host.cameras import Camera, nff_camera
 from raygrid.host.scene import Scene
-from raygrid.host.scene_builder import IORS, LEAST_IOR, MOST_IOR, SceneBuilder, colour, material, plural, read_bytes
+from raygrid.host.scene_builder import IORS, LEAST_IOR, MOST_IOR, SceneBuilder, colour, material, plural
+from raygrid.host.scene_files import read_bytes
 from raygrid.host.scene_finish import UNLIT
 from raygrid.host.scene_lights import Table, light_table, point_light
 from raygrid.host.scene_nff_words import GRAMMAR, NAMES, Words
-from raygrid.host.scene_polygons import Ints, triangulate
+from raygrid.host.scene_polygons import Ints
 from raygrid.node.errors import SceneError
 from raygrid.node.frame import MATERIAL
 from raygrid.node.surfaces import F64, Kind
@@ -65,6 +66,7 @@ def parse_nff(path: Path, text: bytes) -> Scene:
         background=colour(background[0]) if len(background) else (0.0, 0.0, 0.0),
         size=size,
         remarks=remarks,
+        up=colour(words.columns(words.of("up"), 3)[0]),
     )
 
 
@@ -287,8 +289,7 @@ def _add_smooth_polygons(words: Words, builder: SceneBuilder, materials: Ints) -
     if not len(entities):
         return
     rows, starts = words.rows(entities, words.columns(entities, 1)[:, 0].astype(np.int64), 6)
-    corners, owner, crossing = triangulate(rows[:, :3], starts)
+    corners, owner = builder.triangulate(rows[:, :3], starts)
     owner = entities[owner]
     data = np.concatenate((rows[corners, :3].reshape(-1, 9), rows[corners, 3:].reshape(-1, 9)), axis=1)
     builder.add(Kind.SMOOTH, data, materials[owner], owner)
-    builder.count_crossing(crossing)

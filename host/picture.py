@@ -38,6 +38,14 @@ class Picture:
         """Linear radiance, float64 (height, width, 3): sums / (2^24 samples)."""
         return self.sums / (UNIT * self.samples)
 
+    def blank(self) -> str | None:
+        """What to say of a picture that shows nothing, so that nobody takes it for a fault; None if it shows something."""
+        if self.stats["total"]["hits"] == 0:
+            return "no ray of the camera meets a surface: the picture shows the background only"
+        if not self.sums.any():
+            return "the picture is all black: no light reaches what the camera sees; is it behind a wall, or outside a room?"
+        return None
+
     def bytes(self, transfer: str = "srgb") -> NDArray[np.uint8]:
         """The picture as uint8 (height, width, 3), values above 1 cut off. transfer: "srgb" (IEC 61966-2-1) or "linear".
 

@@ -40,6 +40,7 @@ class Scene:
     remarks     one line each on what was dropped or invented
     rules       numbers of materials for a program, float64 (m, tables.RULE_COLUMNS), None if none has any
     shot        what changes from frame to frame, None if nothing does; surfaces are at rest then
+    up          what points up in the world: as the file says, else as its format has it
     """
 
     name: str
@@ -56,6 +57,7 @@ class Scene:
     remarks: tuple[str, ...] = ()
     rules: NDArray[np.float64] | None = None
     shot: Shot | None = None
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0)
 
 
 def describe(scene: Scene) -> dict[str, Any]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from raygrid.host.scene_polygons import (
     Ints,
+    convex_polygons,
     extents,
     flat_polygons,
     flat_triangles,
@@ -18,7 +19,6 @@ from raygrid.host.scene_polygons import (
     select_polygons,
     triangulate,
 )
-from raygrid.host.sources import look_at, recording
 from raygrid.node.errors import SceneError
 from raygrid.node.frame import MATERIAL
 from raygrid.node.surfaces import F64, MAX_MATERIALS, MAX_SURFACES, STRIDE, AnyKind, Batch, Kind, SurfaceSet, merge
@@ -31,29 +31,16 @@ LEAST_IOR, MOST_IOR = 0.001, 1000.0
 IORS = f"{LEAST_IOR:g} to {MOST_IOR:g}"
 # Coordinates beyond this are refused: areas are squared lengths and are squared again, which must not overflow.
 MAX_COORDINATE = 1e30
+# Of all surfaces together, 2 GiB as they are read: 29 million triangles. One mesh may be placed thousands of times.
+MOST_NUMBERS = 1 << 28
+# Cutting takes time by the square of the corners, seconds by then; and every ray that comes near looks at all of them.
+MOST_CORNERS = 5_000
 # Vertices of polygons may leave the plane by this part of half the scene's longest edge, which is 1/2 to 1 in machine
 # coordinates. Cells retain what comes within four times this (lattice.SLACK) of them: a polygon bent further could be
 # missed in one of them.
 MOST_BENT = 2.0**-19
 # Of polygons that will move and grow, by this part of their own extent: that may come to 4 in machine coordinates.
 MOST_BENT_MOVING = 2.0**-21
-
-
-def read_bytes(path: Path) -> bytes:
-    """The contents of a file; raises SceneError if there is none, or if it cannot be read."""
-    sources = recording()
-    look = look_at(path) if sources is not None else None
-    try:
-        data = path.read_bytes()
-        if sources is not None:
-            sources.note(path, look, data)
-        return data
-    except FileNotFoundError:
-        if sources is not None:
-            sources.note(path, None, None)
-        raise SceneError(f"{path}: there is no such file") from None
-    except OSError as error:
-        raise SceneError(f"{path}: the file cannot be read ({error.strerror or error})") from None
 
 
 def plural(count: int, noun: str) -> str:
@@ -99,6 +86,7 @@ class SceneBuilder:
             0, np.int64
         )  # of each material given its row of the table, -1: not used, once finished
         self._next = 0
+        self._numbers = 0
         self._dropped = {"triangle": 0, "polygon": 0}
         self._bent = 0  # polygons that were not planar
         self._crossing = 0  # polygons that could be cut into triangles only by guess
@@ -149,12 +137,22 @@ class SceneBuilder:
         self._dropped["polygon"] += int(np.count_nonzero(flat & ~three))
         corners = points[np.repeat(three, sizes)].reshape(-1, 9)
         self.add(Kind.TRIANGLE, corners, every[three], order[three])
+        self._check_corners(sizes[kept], "that is not cut into triangles")
         chosen, begins = select_polygons(points, starts, kept)
         self._take(Kind.POLYGON, chosen, every[kept], order[kept], len(begins) - 1, begins)
 
-    def count_crossing(self, crossing: int) -> None:
-        """Remark that so many more polygons could be cut into triangles only by guess."""
+    def triangulate(self, points: F64, starts: Ints) -> tuple[Ints, Ints]:
+        """`scene_polygons.triangulate`, with a remark on what could be cut only by guess; raises SceneError for what is
+        not convex and has more corners than can be cut in reasonable time."""
+        self._check_corners(np.diff(starts)[~convex_polygons(points, starts)], "that is not convex")
+        rows, owner, crossing = triangulate(points, starts)
         self._crossing += crossing
+        return rows, owner
+
+    def _check_corners(self, sizes: Ints, which: str) -> None:
+        if sizes.max(initial=0) > MOST_CORNERS:
+            came = f"a polygon {which} has {int(sizes.max()):,} corners"
+            raise SceneError(f"{self.where}: {came}, wanted at most {MOST_CORNERS:,}")
 
     @property
     def next_order(self) -> int:
@@ -201,10 +199,9 @@ class SceneBuilder:
             chosen, begins = select_polygons(points, starts, ~bent)
             self._take(kind, chosen, materials[~bent], order[~bent], len(begins) - 1, begins)
             chosen, begins = select_polygons(points, starts, bent)
-            rows, owner, crossing = triangulate(chosen, begins)
+            rows, owner = self.triangulate(chosen, begins)
             self.add(Kind.TRIANGLE, chosen[rows].reshape(-1, 9), materials[bent][owner], order[bent][owner])
             self._bent += len(begins) - 1
-            self.count_crossing(crossing)
 
     def _counted(self) -> list[str]:
         """Remarks on what was counted."""
@@ -220,6 +217,9 @@ class SceneBuilder:
             order = np.arange(self._next, self._next + n)
         if n:
             self._next = max(self._next, int(order.max()) + 1)
+            self._numbers += data.size
+            if self._numbers > MOST_NUMBERS:
+                raise SceneError(f"{self.where}: the surfaces have more than {MOST_NUMBERS:,} numbers together")
             every = np.ascontiguousarray(np.broadcast_to(materials, (n,)), np.int64)
             self._batches.append((kind, self._checked(data).reshape(-1, STRIDE[kind]), every, order, starts))
 
@@ -302,8 +302,16 @@ def _with_unit_normals(data: F64) -> F64:
 
 def shown(value: Any) -> str:
     """A value out of a file for a message, shortened."""
-    text = repr(value)
+    try:
+        text = SHORT.repr(value)
+    except ValueError:  # numbers of thousands of digits have no decimal form
+        text = "a number too long to be shown"
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+SHORT = reprlib.Repr()
+SHORT.maxlist = SHORT.maxtuple = SHORT.maxdict = 20
+SHORT.maxstring = SHORT.maxlong = SHORT.maxother = 400
 
 
 def colour(values: Sequence[float]) -> tuple[float, float, float]:

@@ -34,7 +34,7 @@ def finish_scene(
 ) -> Scene:
     """The scene of what a builder has collected.
 
-    Without a camera one looks at everything, `up` being the axis that points up; without lights (None, or a table
+    `up` is the axis that points up. Without a camera one looks at everything; without lights (None, or a table
     without rows) a key and a fill light shine from behind that camera; without a background it is a dark grey. `asked`
     are the other fields of Scene. Raises SceneError as SceneBuilder.finish does.
     """
@@ -54,5 +54,6 @@ def finish_scene(
         camera=camera,
         background=INVENTED_BACKGROUND if background is None else background,
         remarks=(*remarks, *invented),
+        up=up,
         **asked,
     )

@@ -17,14 +17,19 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.host.scene_builder import read_bytes, shown
+from raygrid.host.scene_builder import shown
+from raygrid.host.scene_files import read_bytes
 from raygrid.node.errors import SceneError
 from raygrid.node.surfaces import F64
 
 COMPONENTS: dict[int, str] = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
-MAX_VALUES = 2**31  # of one accessor; sparse ones need no bytes for it, so the file's length is no bound
+MAX_VALUES = 2**31  # of one accessor
+MAX_ZEROS = 2**24  # of one that has no bytes of its own, but what it is sparse in: the file's length is no bound for it
+MOST_JSON = 2**24  # values of the document, each of which takes a hundred bytes
+LONGEST_NAME = 2**14  # of a file
+LONGEST_PLAIN = 2**24  # of a data URI without base64, a hundred bytes each in turn
 
 
 class Document:
@@ -33,6 +38,9 @@ class Document:
     def __init__(self, path: Path) -> None:
         self.path = path
         text, self._binary = self._container(read_bytes(path))
+        values = sum(text.count(mark) for mark in (b",", b"[", b"{"))
+        if values > MOST_JSON:
+            raise self.error(f"the JSON has {values:,} values or so, wanted at most {MOST_JSON:,}")
         try:
             self.json = json.loads(text)
         except (ValueError, RecursionError) as error:
@@ -67,6 +75,8 @@ class Document:
         if count * width > MAX_VALUES:
             raise self.error(f"{where} has {count} values, wanted at most {MAX_VALUES // width}")
         in_view = "bufferView" in row
+        if not in_view and count * width > MAX_ZEROS:
+            raise self.error(f"{where} has {count} values and no bufferView, wanted at most {MAX_ZEROS // width}")
         values = self._strided(row, dtype, width, count, where) if in_view else np.zeros((count, width), dtype)
         if "sparse" in row:
             values = self._with_exceptions(values, row["sparse"], where)
@@ -138,9 +148,15 @@ class Document:
         if not isinstance(uri, str):
             raise self.error(f"{where}.uri is {shown(uri)}, wanted a text")
         if not uri.startswith("data:"):
+            if len(uri) > LONGEST_NAME:
+                raise self.error(f"{where}.uri has {len(uri):,} characters, wanted the name of a file")
             return read_bytes(self.path.parent / unquote(uri))
         head, _, body = uri.partition(",")
         if not head.endswith(";base64"):
+            if len(body) > LONGEST_PLAIN:
+                raise self.error(
+                    f"{where}.uri has {len(body):,} characters, wanted base64 for more than {LONGEST_PLAIN:,}"
+                )
             return unquote(body).encode("latin-1", "replace")
         try:
             return base64.b64decode(body, validate=True)
@@ -151,6 +167,8 @@ class Document:
         data, stride = self._view(row["bufferView"])
         start, size = self._size(row, "byteOffset", where, 0), dtype.itemsize * width
         stride = stride or size
+        if stride < size:
+            raise self.error(f"{where} has values of {size} bytes every {stride} bytes, wanted them apart")
         if count and start + (count - 1) * stride + size > len(data):
             needed = start + (count - 1) * stride + size
             raise self.error(f"{where} needs {needed} bytes of a buffer view of {len(data)}")

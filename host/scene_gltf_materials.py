@@ -24,10 +24,11 @@ import numpy as np
 from raygrid.host.scene_builder import IORS, LEAST_IOR, MOST_IOR, Table, material
 from raygrid.host.scene_gltf import Document
 from raygrid.host.scene_mtl import GREY
-from raygrid.host.textures import Texture, Wrap, read_picture
+from raygrid.host.textures import Bytes, Texture, Wrap, read_picture
 from raygrid.node.surfaces import F64
 
 MAX_SHINE = 1000.0  # a sharper highlight would be smaller than a pixel
+WEBP = "EXT_texture_webp"  # a texture whose picture is WebP, with or without another that is not
 TINTED = ("diffuse", "specular", "transmission")  # all that base colour multiplies
 
 
@@ -50,6 +51,7 @@ class Materials:
         self._document = document
         self._remarks = remarks
         self._made: dict[int, GltfMaterial] = {}
+        self._pictures: dict[int, Bytes] = {}
 
     def get(self, number: Any) -> GltfMaterial:
         """The material of that number; None: matte grey."""
@@ -89,8 +91,15 @@ class Materials:
         row = self._document.item("textures", info["index"])
         sampler = self._document.item("samplers", row["sampler"]) if "sampler" in row else {}
         wraps = (Wrap(sampler.get(key, Wrap.REPEAT.value)) for key in ("wrapS", "wrapT"))
-        texels = read_picture(*self._document.picture(row.get("source")))
-        return Texture(texels, *wraps), f"TEXCOORD_{info.get('texCoord', 0)}"
+        source = row.get("source", row.get("extensions", {}).get(WEBP, {}).get("source"))
+        return Texture(self._texels(source), *wraps), f"TEXCOORD_{info.get('texCoord', 0)}"
+
+    def _texels(self, number: Any) -> Bytes:
+        """The texels of an image, which several textures may share."""
+        if not isinstance(number, int) or number not in self._pictures:
+            data, where = self._document.picture(number)
+            self._pictures[number] = read_picture(data, where)
+        return self._pictures[number]
 
 
 def shading(base: F64, metal: float, rough: float, passing: float, ior: float, extra: dict[str, Any]) -> Table:

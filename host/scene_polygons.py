@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from raygrid.host.scene_ears import CONVEX, clip_ears
 from raygrid.node.surfaces import F64
 
 Ints = NDArray[np.int64]
@@ -17,7 +18,6 @@ Mask = NDArray[np.bool_]
 NO_AREA = 1e-12  # twice the area over the squared extent below which a surface is a line: rounding makes more
 # Vertices may leave the mean plane by this part of (extent + largest coordinate): what rounded numbers make of a plane.
 FLATNESS = 1e-7
-CONVEX = 1e-9  # a corner may turn the wrong way by this sine: nearly straight corners of rounded numbers
 
 
 def flat_triangles(corners: F64) -> Mask:
@@ -129,38 +129,4 @@ def _clip_ears(points: F64) -> tuple[Ints, bool]:
     plane = np.delete(points, axis, axis=1)
     if (normal[axis] < 0.0) != (axis == 1):
         plane = plane[:, ::-1]
-    left = list(range(len(points)))
-    ears, clean = [], True
-    while len(left) > 3:
-        ear = _find_ear(plane[left])
-        clean = clean and ear >= 0
-        ear = max(ear, 0)
-        ears.append((left[ear - 1], left[ear], left[(ear + 1) % len(left)]))
-        del left[ear]
-    ears.append((left[0], left[1], left[2]))
-    a, b, c = plane[left]
-    clean = clean and float(_cross(b - a, c - b)) >= -CONVEX * abs(float(normal[axis]))
-    return np.array(ears, np.int64), clean
-
-
-def _find_ear(plane: F64) -> int:
-    """The corner, cut off which leaves no other vertex behind, with the widest opening; -1 if there is none.
-
-    plane: the vertices left, (m, 2), counter-clockwise.
-    """
-    before, after = np.roll(plane, 1, axis=0), np.roll(plane, -1, axis=0)
-    turn = _cross(plane - before, after - plane)
-    for ear in np.argsort(-turn, kind="stable"):
-        if turn[ear] < 0.0:
-            break
-        a, b, c = before[ear], plane[ear], after[ear]
-        # Vertices at the ear's own corners (a bridge to a hole visits them twice) do not block it.
-        inside = (_cross(b - a, plane - a) >= 0.0) & (_cross(c - b, plane - b) >= 0.0) & (_cross(a - c, plane - c) >= 0)
-        own = (plane == a).all(1) | (plane == b).all(1) | (plane == c).all(1)
-        if not (inside & ~own).any():
-            return int(ear)
-    return -1
-
-
-def _cross(u: F64, v: F64) -> F64:
-    return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
+    return clip_ears(plane, abs(float(normal[axis])))

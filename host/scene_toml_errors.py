@@ -17,6 +17,7 @@ Key = tuple[str | int, ...]
 
 LENGTHS = ("min_length", "max_length")
 HEADER = re.compile(r"\s*\[(\[?)\s*([^\]]+?)\s*\]")
+LONGEST_LINE = 500  # that is looked at: the header of blanks alone takes time by the square of its length
 ASSIGNMENT = re.compile(r"\s*([\w.-]+|\"[^\"]*\")\s*=")
 
 
@@ -115,6 +116,7 @@ def line_of(text: str, key: Key) -> int | None:
     counts: dict[Key, int] = {}
     table: Key = ()
     for number, line in enumerate(text.splitlines(), 1):
+        line = line[:LONGEST_LINE]
         header, assignment = HEADER.match(line), ASSIGNMENT.match(line)
         if header and not assignment:
             table = _named(header[2], bool(header[1]), counts)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -22,13 +21,15 @@ from raygrid.host.cameras import DEFAULT_FOV, Camera, orthographic_camera, persp
 from raygrid.host.load import load_scene
 from raygrid.host.rig import Rig, keyed
 from raygrid.host.scene import Scene
-from raygrid.host.scene_builder import SceneBuilder, material, read_bytes, shown
+from raygrid.host.scene_builder import SceneBuilder, material, shown
+from raygrid.host.scene_files import read_bytes
 from raygrid.host.scene_finish import NO_CAMERA, NO_LIGHT, UNLIT, finish_scene
 from raygrid.host.scene_lights import Table, directional_light, light_table, point_light, spot_light
 from raygrid.host.scene_mtl import GREY
 from raygrid.host.scene_toml_errors import Key, checked, located, shown_key
 from raygrid.host.scene_transform import moved, placement
 from raygrid.host.shot import Shot, quaternion
+from raygrid.host.toml_text import read_toml
 from raygrid.node.errors import SceneError
 from raygrid.node.motions import Groups, make_groups
 from raygrid.node.surfaces import F64, NUMBERS, AddedKind, Kind
@@ -41,12 +42,12 @@ BOX_SIDES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4
 
 def load_scenefile(path: Path) -> Scene:
     """Read a file. Raises SceneError with file, line, key, what came and what was wanted."""
-    text = read_bytes(path)
+    data = read_bytes(path)
     try:
-        tables = tomllib.loads(text.decode("utf-8"))
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        text, tables = read_toml(data)
+    except ValueError as error:
         raise SceneError(f"{path}: the TOML cannot be read ({error})") from None
-    return _Reader(path, text.decode("utf-8"), checked(path, text.decode("utf-8"), tables)).scene()
+    return _Reader(path, text, checked(path, text, tables)).scene()
 
 
 class _Reader:
@@ -85,7 +86,8 @@ class _Reader:
             depth=image.depth,
             min_weight=image.min_weight,
         )
-        return replace(scene, rules=self._rules(len(scene.materials)), shot=self._shot(scene, first_lights))
+        up = file.camera.up if file.camera else base.up if base else scene.up
+        return replace(scene, up=up, rules=self._rules(len(scene.materials)), shot=self._shot(scene, first_lights))
 
     def _rules(self, materials: int) -> F64 | None:
         """The numbers that materials have for a program; None if none has any."""

@@ -30,6 +30,7 @@ def main() -> None:
     parser.add_argument("--batch", type=int, required=True)
     parser.add_argument("--patience", type=float, required=True)
     parser.add_argument("--programs", action="store_true")
+    parser.add_argument("--outside", action="store_true")
     given = parser.parse_args()
     signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)  # until there is somebody who cleans up
     tell = os.fdopen(os.dup(1), "wb")
@@ -40,7 +41,7 @@ def main() -> None:
         _keep_log(directory)
         os.chdir("/")
         nx, ny, nz = given.array
-        options = Options((nx, ny, nz), given.batch, given.patience, directory / JOURNAL, given.programs)
+        options = Options((nx, ny, nz), given.batch, given.patience, directory / JOURNAL, given.programs, given.outside)
         with Place.create((1, 1, 1)) as place:
             code = asyncio.run(_serve(given.name, options, place, tell))
         os.close(lock)

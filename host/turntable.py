@@ -20,8 +20,9 @@ GROUP = "scene"
 def turntable(scene: Scene, frames: int, turn_scene: bool = False) -> Scene:
     """The scene as a shot of one turn, frame 1 being as it stands.
 
-    The axis goes through the point that the camera looks at, along that axis of the scene (x, y or z) that its up is
-    nearest to. Either the camera turns round it, or all surfaces turn the other way, under lights that stay.
+    The axis goes through the point that the camera looks at, along that axis of the world (x, y or z) to which what is
+    up in the world is nearest, however the camera is tilted. Either the camera turns round it, or all surfaces turn the
+    other way, under lights that stay.
     Raises SceneError for a number of frames that cannot be, and for a scene that moves already.
     """
     if not 1 <= frames <= MAX_FRAMES:
@@ -31,14 +32,12 @@ def turntable(scene: Scene, frames: int, turn_scene: bool = False) -> Scene:
     every = np.concatenate([batch.ids for batch in scene.surfaces])
     chosen = every if turn_scene else every[:0]
     groups = make_groups(chosen, np.zeros(len(chosen), np.int64), int(turn_scene))
-    table = _Table(
-        scene, frames, turn_scene, _axis(scene.camera), exposure_point(scene.camera, scene.surfaces.bounds())
-    )
+    table = _Table(scene, frames, turn_scene, _axis(scene.up), exposure_point(scene.camera, scene.surfaces.bounds()))
     return replace(scene, shot=Shot(frames, (GROUP,) * int(turn_scene), groups, table.pose))
 
 
-def _axis(camera: Camera) -> F64:
-    up = np.array(camera.up)
+def _axis(above: Vector) -> F64:
+    up = np.array(above)
     axis = np.zeros(3)
     nearest = int(np.argmax(np.abs(up)))
     axis[nearest] = np.sign(up[nearest])

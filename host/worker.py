@@ -73,13 +73,14 @@ class Event(NamedTuple):
 @dataclass
 class Options:
     """Of the array: processors on each axis, most packets a message, seconds until it is taken to hang, its journal,
-    and whether it takes programs."""
+    whether it takes programs, and whether scenes may refer to files outside their folders."""
 
     shape: tuple[int, int, int]
     batch: int = 4096
     patience: float = 30.0
     journal: Path = field(default_factory=Path)
     programs: bool = False
+    outside: bool = False
 
 
 class Worker(threading.Thread):
@@ -151,7 +152,7 @@ class Worker(threading.Thread):
             from raygrid.host.journal import Journal
             from raygrid.host.scene_store import SceneStore
 
-            self._store = SceneStore(self._options.shape)
+            self._store = SceneStore(self._options.shape, self._options.outside)
             self._journal = Journal(self._options.journal)
         except Interrupted:
             return False
@@ -240,8 +241,8 @@ class Worker(threading.Thread):
         picture = self.keeper.render(ready, request.budget, self._watch(task, ready))
         self._tell(task, "write", 1.0, 0)
         self._write(picture, files, stats, request.transfer, digest)
-        if picture.stats["total"]["hits"] == 0:
-            self._note(task, ["no ray of the camera meets a surface: the picture shows the background only"])
+        if (blank := picture.blank()) is not None:
+            self._note(task, [blank if task.frame is None else f"frame {task.frame}: {blank}"])
         seconds = dict(picture.stats["wall_seconds"]) | {"whole": round(time.perf_counter() - begun, 6)}
         return Event("done", task, facts | {"seconds": seconds})
 

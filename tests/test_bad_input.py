@@ -272,3 +272,10 @@ def test_numbers_as_numpy_writes_them_are_no_obstacle(tmp_path):
     assert here("render", TINY, "--size", "5x4", "-o", str(output), "--stats", str(stats)).code == 0
     assert np.load(output, allow_pickle=False).shape == (4, 5, 3)
     assert json.loads(stats.read_text())["size"] == [5, 4]
+
+
+@pytest.mark.parametrize("command", ["render", "info", "simulate", "export", "jam", "submit"])
+def test_a_directory_is_no_scene(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    one_line(here(command, "."), 1, r"raygrid: \.: the scene is a directory, wanted a file of one of: \.nff .+")
+    assert list(tmp_path.iterdir()) == []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import itertools
+import re
 from pathlib import Path
 
 import pytest
@@ -89,5 +90,17 @@ def test_unknown_names_and_files_are_refused(tmp_path):
     with pytest.raises(CostError, match=r"no\.toml: the cost model cannot be read \(No such file or directory\)"):
         load_cost_model(str(tmp_path / "no.toml"))
     (tmp_path / "b.toml").write_bytes(b"\xff\xfe")
-    with pytest.raises(CostError, match=r"b\.toml: the cost model cannot be read"):
+    with pytest.raises(CostError, match=r"b\.toml: the TOML cannot be read"):
         load_cost_model(str(tmp_path / "b.toml"))
+
+
+def test_a_whole_number_is_one_however_it_is_written(tmp_path):
+    text = (folder() / "8086.toml").read_text()
+    hertz = load_cost_model("8086").file.hertz
+    plain = re.sub(r"(?m)^hertz = .*$", f"hertz = {hertz:e}", text)
+    (tmp_path / "e.toml").write_text(re.sub(r"(?m)^(latency) = .*$", r"\1 = 5e1", plain))
+    model = load_cost_model(str(tmp_path / "e.toml"))
+    assert (model.file.hertz, model.file.link.latency) == (hertz, (50, 50, 50))
+    (tmp_path / "half.toml").write_text(re.sub(r"(?m)^hertz = .*$", "hertz = 5.5", text))
+    with pytest.raises(CostError, match=r"hertz is 5\.5, wanted a valid integer"):
+        load_cost_model(str(tmp_path / "half.toml"))

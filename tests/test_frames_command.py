@@ -14,12 +14,13 @@ from support_cli import here, one_line, warm_kernels
 from support_render import SCENES
 
 from raygrid.emulator.memory_array import MemoryArray
-from raygrid.host.command_frames import has_number, named
+from raygrid.host.command_frames import as_ranges, has_number, named
 from raygrid.host.job import Settings
 from raygrid.host.load import load_scene
 from raygrid.host.moving_pictures import Reel
 from raygrid.host.render import render_job
 from raygrid.host.shot_jobs import jobs_of
+from raygrid.host.turntable import turntable
 from raygrid.node.errors import OutputError
 
 __all__ = ["warm_kernels"]
@@ -184,3 +185,16 @@ def test_without_ffmpeg_that_is_said_before_the_work(tmp_path, monkeypatch):
         1,
         r"raygrid: .*x.mp4: there is no ffmpeg on this computer.*",
     )
+
+
+def test_frames_that_show_nothing_are_told_of():
+    assert as_ranges([3]) == "frame 3"
+    assert as_ranges([1, 2, 3, 7, 9, 10]) == "frames 1-3, 7, 9-10"
+    scene = turntable(load_scene(SCENES / "room.glb"), 8)
+    blank = {}
+    array = MemoryArray((1, 1, 1))
+    array.driver.ready()
+    for job in jobs_of(scene, (1, 1, 1), Settings(size=(16, 12))):
+        blank[job.number] = render_job(array.driver, job).blank()
+    assert blank[1] is None
+    assert any(said is not None and "all black" in said for said in blank.values())

@@ -359,3 +359,29 @@ def test_wrong_turntables(read):
         turntable(read(), 3)
     with pytest.raises(SceneError, match="0 frames"):
         turntable(load_scene(SCENES / "tiny.nff"), 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "axis"),
+    [
+        ("s.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", (0, 1, 0)),
+        (
+            "s.stl",
+            "solid\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid",
+            (0, 0, 1),
+        ),
+        ("s.nff", "v from 0 -1 9 at 0 0 0 up 0 0 1 angle 40 hither 1 resolution 8 8\ns 0 0 0 1\n", (0, 0, 1)),
+        (
+            "s.toml",
+            '[camera]\nfrom = [0, 9, 1]\nat = [0, 0, 0]\n[[surfaces]]\nkind = "sphere"\ncentre = [0, 0, 0]\nradius = 1\n',
+            (0, 1, 0),
+        ),
+    ],
+)
+def test_a_turntable_turns_about_what_is_up_in_the_world_however_the_camera_is_tilted(tmp_path, name, text, axis):
+    (tmp_path / name).write_text(text)
+    scene = load_scene(tmp_path / name)
+    shot = turntable(scene, 4).shot
+    heights = [float(np.dot(shot.at(frame).camera.eye, axis)) for frame in range(1, 5)]
+    assert np.allclose(heights, heights[0])
+    assert not np.allclose(shot.at(1).camera.eye, shot.at(3).camera.eye)
