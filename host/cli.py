@@ -21,7 +21,8 @@ from typing import Any
 import click
 
 from raygrid.host import cli_inspect, cli_machine, cli_service
-from raygrid.host.cli_types import Fault, Frames, Number, Pair, Shape, debug_option
+from raygrid.host.cli_types import Fault, FileName, Frames, Number, Pair, Shape, debug_option
+from raygrid.host.standard_streams import ready_streams
 
 DEBUG = "RAYGRID_DEBUG"
 # Of what a command imports nearly all stays: looking it through for cycles as often as by default takes a sixth of the time.
@@ -98,7 +99,7 @@ def cli() -> None:
               help="Packets in flight below which new primary rays are admitted.")
 @click.option("--transfer", type=click.Choice(["srgb", "linear"]), default="srgb", show_default=True,
               help="From linear radiance to the bytes of a picture.")
-@click.option("-o", "--output", "outputs", multiple=True, type=click.Path(), metavar="FILE",
+@click.option("-o", "--output", "outputs", multiple=True, type=FileName(), metavar="FILE",
               help="Picture (.png .jpg .webp .tif .bmp .ppm), or .npy of the exact sums; may be repeated.  "
                    "[default: the scene's name with .png, here]")
 @click.option("--frames", type=Frames(), metavar="A-B",
@@ -106,13 +107,13 @@ def cli() -> None:
 @click.option("--turntable", type=Number(1, 1_000_000), metavar="N", help="The camera goes once round the scene in N frames.")
 @click.option("--turntable-scene", type=Number(1, 1_000_000), metavar="N",
               help="The scene turns once in N frames, under lights that stay.")
-@click.option("--program", type=click.Path(), metavar="FILE",
+@click.option("--program", type=FileName(), metavar="FILE",
               help="Code for the nodes: a surface, a shading rule or a background (docs/programs.md).")
 @click.option("--allow-programs", is_flag=True, help="Launch an array that takes programs. They run with your rights.")
-@click.option("--stats", type=click.Path(), metavar="FILE", help="Write what the machine did as JSON.")
-@click.option("--probe-record", type=click.Path(), metavar="FILE",
+@click.option("--stats", type=FileName(), metavar="FILE", help="Write what the machine did as JSON.")
+@click.option("--probe-record", type=FileName(), metavar="FILE",
               help="Keep how every node stood, line by line, as JSON. For a single frame.")
-@click.option("--chrome-trace", type=click.Path(), metavar="FILE",
+@click.option("--chrome-trace", type=FileName(), metavar="FILE",
               help="Write the same as a trace for Perfetto. For a single frame.")
 @click.option("--probe-rate", type=Number(0.01, 100.0), default=10.0, show_default=True, metavar="HZ",
               help="How often a node tells how it stands, if anybody asks.")
@@ -157,7 +158,7 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
 
 
 @cli.command(epilog=LOAD_EXAMPLES)
-@click.argument("program", type=click.Path())
+@click.argument("program", type=FileName())
 @click.option("--array", "shape", type=Shape(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
               help="Processors on each axis.")
 @click.option("--allow-programs", is_flag=True, help="Launch an array that takes programs. They run with your rights.")
@@ -198,7 +199,7 @@ def info(scene: str, as_json: bool) -> None:
 @click.option(
     "-o",
     "--output",
-    type=click.Path(),
+    type=FileName(),
     metavar="FILE",
     help="File to write.  [default: the scene's name with .pov, here]",
 )
@@ -292,15 +293,46 @@ def _run(arguments: list[str]) -> int:
     except click.ClickException as error:
         context = getattr(error, "ctx", None)
         command = "raygrid" if context is None else context.command_path
-        _say(f"{command}: {_misused(error)} ({command} --help says more)")
-        return 2
+        return _say_misuse(command, _misused(error))
     except Ended as error:
         name = signal.Signals(error.number).name
         _say("raygrid: stopped" if error.number == signal.SIGINT else f"raygrid: ended by {name}")
         return 128 + error.number
     except Exception as error:
-        _say(_told(error))
-        return 1
+        return _say_failed(error, arguments)
+
+
+def _say_failed(error: Exception, arguments: list[str]) -> int:
+    from raygrid.host.misuse import Misuse
+
+    if isinstance(error, Misuse):
+        return _say_misuse(_command(arguments), _told(error).removeprefix("raygrid: "))
+    if isinstance(error, OSError) and {"-h", "--help", "--version"} & set(arguments):  # click prints these by itself
+        _say(f"raygrid: standard output cannot be written ({error.strerror})")
+    else:
+        _say(_told(error) + _programs_hint(error, _command(arguments)))
+    return 1
+
+
+def _programs_hint(error: Exception, words: str) -> str:
+    """How the command that was called, or another, is given the program that a scene wants."""
+    from raygrid.host.load import WantsProgram
+
+    if not isinstance(error, WantsProgram):
+        return ""
+    command = cli.commands.get(words.removeprefix("raygrid "))
+    options = () if command is None else (option for parameter in command.params for option in parameter.opts)
+    return " (--program)" if "--program" in options else f", which {words} does not run: raygrid render --program does"
+
+
+def _command(arguments: list[str]) -> str:
+    """The words of the command that was called."""
+    return " ".join(["raygrid", *[word for word in arguments if word in cli.commands][:1]])
+
+
+def _say_misuse(command: str, what: str) -> int:
+    _say(f"{command}: {what} ({command} --help says more)")
+    return 2
 
 
 def _misused(error: click.ClickException) -> str:
@@ -323,8 +355,18 @@ def _told(error: Exception) -> str:
         return f"raygrid: {' '.join(str(error).split())}"
     if isinstance(error, MemoryError):
         return "raygrid: out of memory"
+    if isinstance(error, FileNotFoundError) and not _stands_somewhere():
+        return "raygrid: the working directory is gone, wanted one that is there"
     where = "" if debug else " (raygrid --debug shows where)"
     return f"raygrid: a bug: {type(error).__name__}: {' '.join(str(error).split())}{where}"
+
+
+def _stands_somewhere() -> bool:
+    """Whether the working directory is there; without it no relative path means anything."""
+    try:
+        return bool(os.getcwd())
+    except FileNotFoundError:
+        return False
 
 
 def _say(line: str) -> None:
@@ -339,6 +381,7 @@ def main(argv: list[str] | None = None) -> None:
         os.environ[DEBUG] = "1"  # the nodes look for it, too
     if argv is not None:
         raise SystemExit(_run(arguments))
+    ready_streams()
     gc.set_threshold(*FEWER_LOOKS)
     for name in ONE_THREAD:
         os.environ.setdefault(name, "1")

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from raygrid.host.cli_service import ArrayName
-from raygrid.host.cli_types import AnyType, Number, Pair, Shape
+from raygrid.host.cli_types import AnyType, FileName, Number, Pair, Shape
 
 Command = Callable[..., Any]
 
@@ -114,13 +114,13 @@ def jam(
 
 @click.command(epilog=PROBE_EXAMPLES)
 @click.option("--name", type=ArrayName(), metavar="NAME", help="Of the array that is up.  [default: default]")
-@click.option("--replay", type=click.Path(), metavar="FILE", help="Show a recording instead of an array.")
+@click.option("--replay", type=FileName(), metavar="FILE", help="Show a recording instead of an array.")
 @click.option("--rate", type=Number(0.01, 100.0), default=10.0, show_default=True, metavar="HZ",
               help="How often each node tells how it stands.")
 @click.option("--for", "seconds", type=Number(0.0, 1e9), metavar="SECONDS", help="End after this time.  [default: at Ctrl-C]")
 @click.option("--json", "as_json", is_flag=True, help="A line of JSON a sample, instead of the table.")
-@click.option("--record", type=click.Path(), metavar="FILE", help="Keep the samples there, as lines of JSON.")
-@click.option("--chrome-trace", type=click.Path(), metavar="FILE", help="Write a trace for Perfetto at the end.")
+@click.option("--record", type=FileName(), metavar="FILE", help="Keep the samples there, as lines of JSON.")
+@click.option("--chrome-trace", type=FileName(), metavar="FILE", help="Write a trace for Perfetto at the end.")
 @click.option("--prometheus", type=Number(0, 65535), metavar="PORT", help="Serve aggregates at http://127.0.0.1:PORT/metrics.")
 def probe(**options: Any) -> None:
     """Show how the nodes of an array stand: a table, and a heat map of each layer.

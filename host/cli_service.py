@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from raygrid.host.cli_types import AnyType, Number, Shape
+from raygrid.host.cli_types import AnyType, FileName, Number, Shape
 
 # Options of `render` that a job has, too; the others belong to the array, and so to `up`.
 SETTINGS = ("size", "samples", "depth", "min_weight", "highlights", "split")
@@ -131,10 +131,10 @@ def up(**options: Any) -> None:
 @_name_option
 @click.option("--frames", type=Frames(), metavar="A-B",
               help="Frames to render.  [default: all of a turntable, else one, without a number]")
-@click.option("-o", "--output", "outputs", multiple=True, type=click.Path(), metavar="FILE",
+@click.option("-o", "--output", "outputs", multiple=True, type=FileName(), metavar="FILE",
               help="As for render; with --frames, %04d stands for the number of the frame. May be repeated.  "
                    "[default: the scene's name with .png, or with _%04d.png, here]")
-@click.option("--stats", type=click.Path(), metavar="FILE", help="As for render; %04d as for -o.")
+@click.option("--stats", type=FileName(), metavar="FILE", help="As for render; %04d as for -o.")
 @click.option("--resume", is_flag=True, help="Skip frames whose files are there, whole, and of just this job.")
 @click.option("--detach", is_flag=True, help="Print the number of the job and return at once.")
 @click.option("--json", "as_json", is_flag=True, help="Print a line of JSON for each event.")

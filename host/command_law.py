@@ -44,7 +44,10 @@ def run_law(request: Request) -> None:
     folder = Path(request.folder)
     if not folder.is_dir() and not folder.parent.is_dir():
         raise OutputError(f"{folder}: there is no directory {folder.parent}, wanted one that is there")
-    folder.mkdir(exist_ok=True)
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: the folder cannot be made ({error.strerror})") from None
     check_path(folder / "law.md")
     with Talk(request.quiet) as talk:
         paths = _run(request, talk)

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, Strict, ValidationError
 
-from raygrid.host.scene_builder import shown
+from raygrid.host.misuse import CostMisuse
+from raygrid.host.scene_builder import shown, unreadable
 from raygrid.host.scene_toml_errors import Key, located, shown_key
 from raygrid.node.errors import CostError
 from raygrid.node.packets import PIXEL, PRIMARY, REFLECTED, REFRACTED, RETURN, SHADOW, SIZE
@@ -166,7 +167,7 @@ def load_cost_model(name: str) -> CostModel:
     """A built-in model by its name, or one from a file whose name ends in .toml. Raises CostError."""
     if not name.endswith(".toml"):
         if name not in built_in():
-            raise CostError(
+            raise CostMisuse(
                 f"a cost model came as {shown(name)}, wanted one of {', '.join(built_in())} or a .toml file"
             )
         text = (resources.files("raygrid.emulator") / "costs" / f"{name}.toml").read_text("utf-8")
@@ -188,8 +189,8 @@ def load_cost_model(name: str) -> CostModel:
 def _checked(path: Path, text: str) -> CostFile:
     try:
         tables = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise CostError(f"{path}: the TOML cannot be read ({error})") from None
+    except (ValueError, RecursionError) as error:
+        raise CostError(f"{path}: the TOML cannot be read ({unreadable(error)})") from None
     try:
         return CostFile.model_validate(tables)
     except ValidationError as error:

@@ -298,6 +298,11 @@ def shown(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
+def unreadable(error: Exception) -> str:
+    """What is wrong with a text that a reader of TOML or JSON refused; Python's own words on long numbers advise programmers."""
+    return "a number in it has too many digits" if type(error) is ValueError else str(error)
+
+
 def colour(values: Sequence[float]) -> tuple[float, float, float]:
     """Three numbers as a colour."""
     return float(values[0]), float(values[1]), float(values[2])

@@ -22,7 +22,7 @@ from raygrid.host.cameras import DEFAULT_FOV, Camera, orthographic_camera, persp
 from raygrid.host.load import load_scene
 from raygrid.host.rig import Rig, keyed
 from raygrid.host.scene import Scene
-from raygrid.host.scene_builder import SceneBuilder, material, read_bytes, shown
+from raygrid.host.scene_builder import SceneBuilder, material, read_bytes, shown, unreadable
 from raygrid.host.scene_finish import NO_CAMERA, NO_LIGHT, UNLIT, finish_scene
 from raygrid.host.scene_lights import Table, directional_light, light_table, point_light, spot_light
 from raygrid.host.scene_mtl import GREY
@@ -44,8 +44,8 @@ def load_scenefile(path: Path) -> Scene:
     text = read_bytes(path)
     try:
         tables = tomllib.loads(text.decode("utf-8"))
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-        raise SceneError(f"{path}: the TOML cannot be read ({error})") from None
+    except (ValueError, RecursionError) as error:
+        raise SceneError(f"{path}: the TOML cannot be read ({unreadable(error)})") from None
     return _Reader(path, text.decode("utf-8"), checked(path, text.decode("utf-8"), tables)).scene()
 
 
