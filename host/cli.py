@@ -46,10 +46,10 @@ RENDER_EXAMPLES = """\b
 Examples:
   raygrid render scenes/room.glb
   raygrid render scenes/glass.toml --array 3x3x3 --size 800x600 --samples 4 -o glass.png
-  raygrid render bunny.ply -o bunny.png -o bunny.npy --stats bunny.json
-  raygrid render balls.nff --array 4x4x1 --split uniform --batch 1
+  raygrid render scenes/checker.obj -o plain.png -o plain.npy --stats plain.json
+  raygrid render scenes/tree.nff --array 4x4x1 --split uniform --batch 1
   raygrid render scenes/mobile.toml --frames 1-48 -o 'out/mobile_%04d.png' -o out/mobile.gif
-  raygrid render scenes/room.glb --turntable 72 -o out/round.webp
+  raygrid render scenes/glass.toml --turntable 72 --size 480x270 -o out/round.webp
   raygrid render scenes/rings.toml --program scenes/programs/torus.py --allow-programs -o rings.png
 
 .npy holds the exact sums as int64, height x width x 3: linear radiance x 2^24, added over the samples of a pixel.
@@ -63,7 +63,7 @@ Examples:
 INFO_EXAMPLES = """\b
 Examples:
   raygrid info scenes/room.glb
-  raygrid info --json bunny.ply
+  raygrid info --json scenes/checker.obj
 """
 EXPORT_EXAMPLES = """\b
 Examples:

@@ -44,8 +44,13 @@ def nothing_left() -> Iterator[None]:
         pytest.fail("the tests of this file left behind:\n" + "\n".join(f"  {line}" for line in left), pytrace=False)
 
 
-def pytest_configure() -> None:
-    """A shell lets what it starts in the background ignore Ctrl-C, and children inherit that: tests of it would hang."""
+def pytest_configure(config: pytest.Config) -> None:
+    """A shell lets what it starts in the background ignore Ctrl-C, and children inherit that: tests of it would hang.
+
+    A worker of pytest-xdist gets a session of its own, so that strays are told from those of the other workers.
+    """
+    if hasattr(config, "workerinput"):
+        os.setsid()
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
