@@ -33,9 +33,9 @@ ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 EXAMPLES = """\b
 Examples:
   raygrid render scenes/room.glb
-  raygrid render scenes/glass.toml --array 3x3x3 --size 800x600 --samples 4 -o glass.png
-  raygrid render scenes/mobile.toml --frames 1-48 -o 'out/mobile_%04d.png' -o out/mobile.gif
-  raygrid render scenes/kinds.nff --split uniform -o kinds.npy --stats kinds.json
+  raygrid render scenes/glass.toml --array 3x3x3 --samples 4 -o glass.png
+  raygrid render scenes/mobile.toml --frames 1-48 -o 'out/m_%04d.png'
+  raygrid render scenes/kinds.nff --split uniform -o kinds.npy
   raygrid simulate scenes/kinds.nff --array 10x10x10 --cost 8086
   raygrid info scenes/room.glb
   raygrid export scenes/kinds.nff -o kinds.pov
@@ -45,12 +45,13 @@ Examples:
 RENDER_EXAMPLES = """\b
 Examples:
   raygrid render scenes/room.glb
-  raygrid render scenes/glass.toml --array 3x3x3 --size 800x600 --samples 4 -o glass.png
-  raygrid render scenes/checker.obj -o plain.png -o plain.npy --stats plain.json
+  raygrid render scenes/glass.toml --array 3x3x3 --samples 4 -o glass.png
+  raygrid render scenes/checker.obj -o a.png -o a.npy --stats a.json
   raygrid render scenes/tree.nff --array 4x4x1 --split uniform --batch 1
-  raygrid render scenes/mobile.toml --frames 1-48 -o 'out/mobile_%04d.png' -o out/mobile.gif
-  raygrid render scenes/glass.toml --turntable 72 --size 480x270 -o out/round.webp
-  raygrid render scenes/rings.toml --program scenes/programs/torus.py --allow-programs -o rings.png
+  raygrid render scenes/mobile.toml --frames 1-48 -o 'out/m_%04d.png'
+  raygrid render scenes/glass.toml --turntable 72 -o out/round.webp
+  raygrid render scenes/rings.toml --allow-programs \\
+      --program scenes/programs/torus.py -o rings.png
 
 .npy holds the exact sums as int64, height x width x 3: linear radiance x 2^24, added over the samples of a pixel.
 docs/stats.md says what the statistics mean, docs/probes.md what probes tell, docs/animation.md how scenes move.
@@ -58,7 +59,8 @@ docs/stats.md says what the statistics mean, docs/probes.md what probes tell, do
 LOAD_EXAMPLES = """\b
 Examples:
   raygrid load scenes/programs/torus.py --allow-programs
-  raygrid render scenes/rings.toml --program scenes/programs/torus.py --allow-programs -o rings.png
+  raygrid render scenes/rings.toml --allow-programs \\
+      --program scenes/programs/torus.py -o rings.png
 """
 INFO_EXAMPLES = """\b
 Examples:

@@ -15,7 +15,7 @@ Command = Callable[..., Any]
 TRACE_EXAMPLES = """\b
 Examples:
   raygrid trace scenes/tiny.nff --pixel 128,128
-  raygrid trace scenes/glass.toml --pixel 400,300 --array 3x3x3 --samples 4 --sample 2
+  raygrid trace scenes/glass.toml --pixel 400,300 --array 3x3x3 --sample 2
   raygrid trace scenes/room.glb --pixel 20,10 --size 64x48 --json
 
 The picture's pixel 0,0 is top left. The sums printed are those of the .npy of `raygrid render`; docs/trace.md says more.

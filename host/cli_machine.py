@@ -12,8 +12,9 @@ from raygrid.host.cli_types import Edges, FileName, Number, Pair, Shape, debug_o
 SIMULATE_EXAMPLES = """\b
 Examples:
   raygrid simulate scenes/room.glb --array 10x10x10 --cost 8086
-  raygrid simulate tetra_6.nff --array 50x50x50 --size 1000x1000 --split uniform --no-band -o tetra.png
-  raygrid simulate scenes/kinds.nff --array 4x4x1 --cost t800 --search tree --stats kinds.json --csv nodes.csv --plots .
+  raygrid simulate tetra_6.nff --array 50x50x50 --split uniform --no-band
+  raygrid simulate scenes/kinds.nff --cost t800 --search tree \\
+      --stats kinds.json --csv nodes.csv --plots .
 
 Machine seconds are those of the machine that the cost model describes. docs/machine-time.md says how time is counted,
 docs/costs.md what the cost models mean and where they come from.
@@ -21,7 +22,8 @@ docs/costs.md what the cost models mean and where they come from.
 LAW_EXAMPLES = """\b
 Examples:
   raygrid law tetra_6.nff --cost 8086
-  raygrid law tetra_5.nff mount_4.nff --square 1,2,4,8,16,32 --cubic 1,2,4,8,10 --size 32x32 --size 64x64 -o report
+  raygrid law tetra_5.nff mount_4.nff --square 1,2,4,8,16,32 --cubic 1,2,4,8 \\
+      --size 32x32 --size 64x64 -o report
 
 Writes law.md, law.csv and a plot for each scene. docs/paper.md says what came out for the standard scenes.
 """

@@ -26,8 +26,7 @@ Jobs that were not done when the array of that name was taken down, or crashed, 
 SUBMIT_EXAMPLES = """\b
 Examples:
   raygrid submit scenes/room.glb -o room.png
-  raygrid submit scenes/room.glb --size 640x480 --frames 1-250 -o out/f_%04d.png --resume
-  raygrid submit scenes/mobile.toml --frames 1-48 -o out/m_%04d.png
+  raygrid submit scenes/mobile.toml --frames 1-48 -o out/m_%04d.png --resume
   raygrid submit scenes/glass.toml --turntable 72 --name film --detach
 
 Ctrl-C cancels the job. If this command is killed, or its terminal closed, the job goes on: raygrid jobs shows it.

@@ -33,9 +33,9 @@ def lines_of(text: str, name: str) -> list[Line]:
         elif fenced or line.startswith("    "):
             if not fenced and not before.startswith("    "):  # the first line of an indented block
                 runs = before == RUN
-            for command in re.split(r"\s&&\s|\s\|\s", COMMENT.sub("", line.strip())):
-                if command.startswith("raygrid "):
-                    found.append(Line(f"{name}:{number}", shlex.split(command)[1:], runs))
+            commands = re.split(r"\s&&\s|\s\|\s", COMMENT.sub("", line.strip()))
+            typed = [shlex.split(command)[1:] for command in commands if command.startswith("raygrid ")]
+            found += [Line(f"{name}:{number}", words, runs) for words in typed]
         if line.strip():
             before = line if line.startswith("    ") and not fenced else line.strip()
     return found
@@ -52,7 +52,7 @@ def of_help() -> list[Line]:
     return [
         Line(f"{name} --help", shlex.split(found)[1:], False)
         for name, text in texts.items()
-        for found in re.findall(r"^ +(raygrid .+)$", text, re.M)
+        for found in re.findall(r"^ +(raygrid .+)$", re.sub(r" \\\n\s*", " ", text), re.M)
     ]
 
 
