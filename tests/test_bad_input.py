@@ -189,7 +189,7 @@ def test_the_temporary_directory_is_unusable(tmp_path, monkeypatch):
     deep = tmp_path / ("d" * 100)
     deep.mkdir()
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(deep))
-    monkeypatch.setattr("raygrid.emulator.places.bases", lambda: [str(deep), "/proc", str(tmp_path / "gone")])
+    monkeypatch.setattr("raygrid.emulator.places.bases", lambda: [str(deep), "/proc", "/nowhere/gone"])
     outcome = here("render", TINY, "-o", str(tmp_path / "x.png"))
     too_long = rf"{deep} \(its socket paths would have \d+ bytes, at most 107 are allowed\)"
     line = rf"raygrid: no directory for the sockets of the array: {too_long}, /proc \(.+\), .*/gone \(No such file or directory\); wanted .+: set XDG_RUNTIME_DIR or TMPDIR"

@@ -200,7 +200,11 @@ def test_command(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "code", "pattern"),
     [
-        (["--cost", "8088"], 1, r"raygrid: a cost model came as '8088', wanted one of 8086, .* or a \.toml file"),
+        (
+            ["--cost", "8088"],
+            2,
+            r"raygrid simulate: a cost model came as '8088', wanted one of 8086, .* or a \.toml file .*",
+        ),
         (["--array", "3000x3000x3000"], 1, r"raygrid: simulating 3000x3000x3000 processors .* GB of memory, .*"),
         (["--plots", "/nowhere/at/all"], 1, r"raygrid: /nowhere/at/all: there is no such folder for plots, .*"),
         (["--search", "hash"], 2, r"raygrid simulate: .*"),
