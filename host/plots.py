@@ -26,7 +26,7 @@ def pyplot() -> Any:
     try:
         import matplotlib
     except ImportError:
-        raise OutputError("plots need matplotlib: pip install 'raygrid[plots]'") from None
+        raise OutputError("plots need matplotlib: pip install matplotlib") from None
     matplotlib.use("Agg")
     import matplotlib.pyplot
 
