@@ -27,8 +27,12 @@ render: $(STAMP) ## render a room with a mirror ball and a glass ball on a 2x2x2
 	$(BIN)/raygrid render scenes/room.glb --array 2x2x2 --size 800x600 --samples 4 -o out/room.png
 	@echo "the picture is out/room.png"
 
+# two at a time; all tests of a file by one of them, since they share what is dear to make
+WORKERS ?= 2
+PYTEST  := $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile
+
 test: $(STAMP) ## the tests
-	$(BIN)/python -m pytest -m "not slow"
+	$(PYTEST) -m "not slow"
 
 test-long: $(STAMP) ## all tests, the long ones too
 	$(BIN)/python -m pytest

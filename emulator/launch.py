@@ -147,6 +147,8 @@ class Nursery:
                 pass_fds=(theirs.fileno(),),
                 start_new_session=True,
                 env=os.environ | ONE_THREAD,
+                cwd=_standing(),
+                stdin=subprocess.DEVNULL,
             )
         except OSError as error:
             ours.close()
@@ -381,6 +383,15 @@ class Nursery:
 
     def __exit__(self, *_: object) -> None:
         self.end()
+
+
+def _standing() -> str | None:
+    """Where the nursery is to stand: here, or at the root if the working directory is gone, without which nothing imports."""
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        return "/"
+    return None
 
 
 def _how(status: int) -> str:

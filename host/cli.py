@@ -21,7 +21,8 @@ from typing import Any
 import click
 
 from raygrid.host import cli_inspect, cli_machine, cli_service
-from raygrid.host.cli_types import Fault, Frames, Number, Pair, Shape, debug_option, outside_option
+from raygrid.host.cli_types import Fault, FileName, Frames, Number, Pair, Shape, debug_option, outside_option
+from raygrid.host.standard_streams import ready_streams
 
 DEBUG = "RAYGRID_DEBUG"
 # Of what a command imports nearly all stays: looking it through for cycles as often as by default takes a sixth of the time.
@@ -32,9 +33,9 @@ ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 EXAMPLES = """\b
 Examples:
   raygrid render scenes/room.glb
-  raygrid render scenes/glass.toml --array 3x3x3 --size 800x600 --samples 4 -o glass.png
-  raygrid render scenes/mobile.toml --frames 1-48 -o 'out/mobile_%04d.png' -o out/mobile.gif
-  raygrid render scenes/kinds.nff --split uniform -o kinds.npy --stats kinds.json
+  raygrid render scenes/glass.toml --array 3x3x3 --samples 4 -o glass.png
+  raygrid render scenes/mobile.toml --frames 1-48 -o 'out/m_%04d.png'
+  raygrid render scenes/kinds.nff --split uniform -o kinds.npy
   raygrid simulate scenes/kinds.nff --array 10x10x10 --cost 8086
   raygrid info scenes/room.glb
   raygrid export scenes/kinds.nff -o kinds.pov
@@ -44,12 +45,13 @@ Examples:
 RENDER_EXAMPLES = """\b
 Examples:
   raygrid render scenes/room.glb
-  raygrid render scenes/glass.toml --array 3x3x3 --size 800x600 --samples 4 -o glass.png
-  raygrid render bunny.ply -o bunny.png -o bunny.npy --stats bunny.json
-  raygrid render balls.nff --array 4x4x1 --split uniform --batch 1
-  raygrid render scenes/mobile.toml --frames 1-48 -o 'out/mobile_%04d.png' -o out/mobile.gif
+  raygrid render scenes/glass.toml --array 3x3x3 --samples 4 -o glass.png
+  raygrid render scenes/checker.obj -o a.png -o a.npy --stats a.json
+  raygrid render scenes/tree.nff --array 4x4x1 --split uniform --batch 1
+  raygrid render scenes/mobile.toml --frames 1-48 -o 'out/m_%04d.png'
   raygrid render scenes/glass.toml --turntable 72 -o out/round.webp
-  raygrid render scenes/rings.toml --program scenes/programs/torus.py --allow-programs -o rings.png
+  raygrid render scenes/rings.toml --allow-programs \\
+      --program scenes/programs/torus.py -o rings.png
 
 .npy holds the exact sums as int64, height x width x 3: linear radiance x 2^24, added over the samples of a pixel.
 docs/stats.md says what the statistics mean, docs/probes.md what probes tell, docs/animation.md how scenes move.
@@ -57,12 +59,13 @@ docs/stats.md says what the statistics mean, docs/probes.md what probes tell, do
 LOAD_EXAMPLES = """\b
 Examples:
   raygrid load scenes/programs/torus.py --allow-programs
-  raygrid render scenes/rings.toml --program scenes/programs/torus.py --allow-programs -o rings.png
+  raygrid render scenes/rings.toml --allow-programs \\
+      --program scenes/programs/torus.py -o rings.png
 """
 INFO_EXAMPLES = """\b
 Examples:
   raygrid info scenes/room.glb
-  raygrid info --json bunny.ply
+  raygrid info --json scenes/checker.obj
 """
 EXPORT_EXAMPLES = """\b
 Examples:
@@ -98,7 +101,7 @@ def cli() -> None:
               help="Packets in flight below which new primary rays are admitted.")
 @click.option("--transfer", type=click.Choice(["srgb", "linear"]), default="srgb", show_default=True,
               help="From linear radiance to the bytes of a picture.")
-@click.option("-o", "--output", "outputs", multiple=True, type=click.Path(), metavar="FILE",
+@click.option("-o", "--output", "outputs", multiple=True, type=FileName(), metavar="FILE",
               help="Picture (.png .jpg .webp .tif .bmp .ppm), or .npy of the exact sums; may be repeated.  "
                    "[default: the scene's name with .png, here]")
 @click.option("--frames", type=Frames(), metavar="A-B",
@@ -106,13 +109,13 @@ def cli() -> None:
 @click.option("--turntable", type=Number(1, 1_000_000), metavar="N", help="The camera goes once round the scene in N frames.")
 @click.option("--turntable-scene", type=Number(1, 1_000_000), metavar="N",
               help="The scene turns once in N frames, under lights that stay.")
-@click.option("--program", type=click.Path(), metavar="FILE",
+@click.option("--program", type=FileName(), metavar="FILE",
               help="Code for the nodes: a surface, a shading rule or a background (docs/programs.md).")
 @click.option("--allow-programs", is_flag=True, help="Launch an array that takes programs. They run with your rights.")
-@click.option("--stats", type=click.Path(), metavar="FILE", help="Write what the machine did as JSON.")
-@click.option("--probe-record", type=click.Path(), metavar="FILE",
+@click.option("--stats", type=FileName(), metavar="FILE", help="Write what the machine did as JSON.")
+@click.option("--probe-record", type=FileName(), metavar="FILE",
               help="Keep how every node stood, line by line, as JSON. For a single frame.")
-@click.option("--chrome-trace", type=click.Path(), metavar="FILE",
+@click.option("--chrome-trace", type=FileName(), metavar="FILE",
               help="Write the same as a trace for Perfetto. For a single frame.")
 @click.option("--probe-rate", type=Number(0.01, 100.0), default=10.0, show_default=True, metavar="HZ",
               help="How often a node tells how it stands, if anybody asks.")
@@ -158,7 +161,7 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
 
 
 @cli.command(epilog=LOAD_EXAMPLES)
-@click.argument("program", type=click.Path())
+@click.argument("program", type=FileName())
 @click.option("--array", "shape", type=Shape(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
               help="Processors on each axis.")
 @click.option("--allow-programs", is_flag=True, help="Launch an array that takes programs. They run with your rights.")
@@ -200,7 +203,7 @@ def info(scene: str, as_json: bool) -> None:
 @click.option(
     "-o",
     "--output",
-    type=click.Path(),
+    type=FileName(),
     metavar="FILE",
     help="File to write.  [default: the scene's name with .pov, here]",
 )
@@ -298,15 +301,46 @@ def _run(arguments: list[str]) -> int:
     except click.ClickException as error:
         context = getattr(error, "ctx", None)
         command = "raygrid" if context is None else context.command_path
-        _say(f"{command}: {_misused(error)} ({command} --help says more)")
-        return 2
+        return _say_misuse(command, _misused(error))
     except Ended as error:
         name = signal.Signals(error.number).name
         _say("raygrid: stopped" if error.number == signal.SIGINT else f"raygrid: ended by {name}")
         return 128 + error.number
     except Exception as error:
-        _say(_told(error))
-        return 1
+        return _say_failed(error, arguments)
+
+
+def _say_failed(error: Exception, arguments: list[str]) -> int:
+    from raygrid.host.misuse import Misuse
+
+    if isinstance(error, Misuse):
+        return _say_misuse(_command(arguments), _told(error).removeprefix("raygrid: "))
+    if isinstance(error, OSError) and {"-h", "--help", "--version"} & set(arguments):  # click prints these by itself
+        _say(f"raygrid: standard output cannot be written ({error.strerror})")
+    else:
+        _say(_told(error) + _programs_hint(error, _command(arguments)))
+    return 1
+
+
+def _programs_hint(error: Exception, words: str) -> str:
+    """How the command that was called, or another, is given the program that a scene wants."""
+    from raygrid.host.load import WantsProgram
+
+    if not isinstance(error, WantsProgram):
+        return ""
+    command = cli.commands.get(words.removeprefix("raygrid "))
+    options = () if command is None else (option for parameter in command.params for option in parameter.opts)
+    return " (--program)" if "--program" in options else f", which {words} does not run: raygrid render --program does"
+
+
+def _command(arguments: list[str]) -> str:
+    """The words of the command that was called."""
+    return " ".join(["raygrid", *[word for word in arguments if word in cli.commands][:1]])
+
+
+def _say_misuse(command: str, what: str) -> int:
+    _say(f"{command}: {what} ({command} --help says more)")
+    return 2
 
 
 def _misused(error: click.ClickException) -> str:
@@ -329,8 +363,18 @@ def _told(error: Exception) -> str:
         return f"raygrid: {' '.join(str(error).split())}"
     if isinstance(error, MemoryError):
         return "raygrid: out of memory"
+    if isinstance(error, FileNotFoundError) and not _stands_somewhere():
+        return "raygrid: the working directory is gone, wanted one that is there"
     where = "" if debug else " (raygrid --debug shows where)"
     return f"raygrid: a bug: {type(error).__name__}: {' '.join(str(error).split())}{where}"
+
+
+def _stands_somewhere() -> bool:
+    """Whether the working directory is there; without it no relative path means anything."""
+    try:
+        return bool(os.getcwd())
+    except FileNotFoundError:
+        return False
 
 
 def _say(line: str) -> None:
@@ -348,6 +392,7 @@ def main(argv: list[str] | None = None) -> None:
         os.environ[DEBUG] = "1"  # the nodes look for it, too
     if argv is not None:
         raise SystemExit(_run(arguments))
+    ready_streams()
     gc.set_threshold(*FEWER_LOOKS)
     for name in ONE_THREAD:
         os.environ.setdefault(name, "1")

@@ -9,14 +9,14 @@ from typing import Any
 import click
 
 from raygrid.host.cli_service import ArrayName
-from raygrid.host.cli_types import AnyType, Number, Pair, Shape, outside_option
+from raygrid.host.cli_types import AnyType, FileName, Number, Pair, Shape, outside_option
 
 Command = Callable[..., Any]
 
 TRACE_EXAMPLES = """\b
 Examples:
   raygrid trace scenes/tiny.nff --pixel 128,128
-  raygrid trace scenes/glass.toml --pixel 200,150 --array 3x3x3 --samples 4 --sample 2
+  raygrid trace scenes/glass.toml --pixel 400,300 --array 3x3x3 --sample 2
   raygrid trace scenes/room.glb --pixel 20,10 --size 64x48 --json
 
 The picture's pixel 0,0 is top left. The sums printed are those of the .npy of `raygrid render`; docs/trace.md says more.
@@ -123,7 +123,7 @@ def jam(
 
 @click.command(epilog=PROBE_EXAMPLES)
 @click.option("--name", type=ArrayName(), metavar="NAME", help="Of the array that is up.  [default: default]")
-@click.option("--replay", type=click.Path(), metavar="FILE", help="Show a recording instead of an array.")
+@click.option("--replay", type=FileName(), metavar="FILE", help="Show a recording instead of an array.")
 @click.option("--speed", type=Number(0.001, 1e9), metavar="X",
               help="Play the recording X times as fast as it was.  [default: 1 on a terminal, unless files are written]")
 @click.option("--worst", is_flag=True, help="Show the recording's worst moment: when most packets waited in the array.")
@@ -132,8 +132,8 @@ def jam(
               help="How often each node tells how it stands.")
 @click.option("--for", "seconds", type=Number(0.0, 1e9), metavar="SECONDS", help="End after this time.  [default: at Ctrl-C]")
 @click.option("--json", "as_json", is_flag=True, help="A line of JSON a sample, instead of the table.")
-@click.option("--record", type=click.Path(), metavar="FILE", help="Keep the samples there, as lines of JSON.")
-@click.option("--chrome-trace", type=click.Path(), metavar="FILE", help="Write a trace for Perfetto at the end.")
+@click.option("--record", type=FileName(), metavar="FILE", help="Keep the samples there, as lines of JSON.")
+@click.option("--chrome-trace", type=FileName(), metavar="FILE", help="Write a trace for Perfetto at the end.")
 @click.option("--prometheus", type=Number(0, 65535), metavar="PORT", help="Serve aggregates at http://127.0.0.1:PORT/metrics.")
 def probe(**options: Any) -> None:
     """Show how the nodes of an array stand: a table, and a heat map of each layer.

@@ -7,13 +7,14 @@ from typing import Any
 
 import click
 
-from raygrid.host.cli_types import Edges, Number, Pair, Shape, debug_option, outside_option
+from raygrid.host.cli_types import Edges, FileName, Number, Pair, Shape, debug_option, outside_option
 
 SIMULATE_EXAMPLES = """\b
 Examples:
   raygrid simulate scenes/room.glb --array 10x10x10 --cost 8086
-  raygrid simulate tetra_6.nff --array 50x50x50 --size 1000x1000 --split uniform --no-band -o tetra.png
-  raygrid simulate scenes/kinds.nff --array 4x4x1 --cost t800 --search tree --stats kinds.json --csv nodes.csv --plots .
+  raygrid simulate tetra_6.nff --array 50x50x50 --split uniform --no-band
+  raygrid simulate scenes/kinds.nff --cost t800 --search tree \\
+      --stats kinds.json --csv nodes.csv --plots .
 
 Machine seconds are those of the machine that the cost model describes. docs/machine-time.md says how time is counted,
 docs/costs.md what the cost models mean and where they come from.
@@ -21,7 +22,8 @@ docs/costs.md what the cost models mean and where they come from.
 LAW_EXAMPLES = """\b
 Examples:
   raygrid law tetra_6.nff --cost 8086
-  raygrid law tetra_5.nff mount_4.nff --square 1,2,4,8,16,32 --cubic 1,2,4,8,10 --size 32x32 --size 64x64 -o report
+  raygrid law tetra_5.nff mount_4.nff --square 1,2,4,8,16,32 --cubic 1,2,4,8 \\
+      --size 32x32 --size 64x64 -o report
 
 Writes law.md, law.csv and a plot for each scene. docs/paper.md says what came out for the standard scenes.
 """
@@ -48,11 +50,11 @@ Writes law.md, law.csv and a plot for each scene. docs/paper.md says what came o
 @click.option("--transfer", type=click.Choice(["srgb", "linear"]), default="srgb", show_default=True,
               help="As for render.")
 @click.option("--frame", type=Number(1, 1_000_000), metavar="N", help="The frame of a shot.  [default: 1]")
-@click.option("-o", "--output", "outputs", multiple=True, type=click.Path(), metavar="FILE",
+@click.option("-o", "--output", "outputs", multiple=True, type=FileName(), metavar="FILE",
               help="Picture, or .npy of the exact sums: the same bits as from render; may be repeated.")
-@click.option("--stats", type=click.Path(), metavar="FILE", help="Write what the machine did as JSON.")
-@click.option("--csv", "table", type=click.Path(), metavar="FILE", help="Write a row for each processor.")
-@click.option("--plots", type=click.Path(), metavar="FOLDER",
+@click.option("--stats", type=FileName(), metavar="FILE", help="Write what the machine did as JSON.")
+@click.option("--csv", "table", type=FileName(), metavar="FILE", help="Write a row for each processor.")
+@click.option("--plots", type=FileName(), metavar="FOLDER",
               help="Write busy.png, links.png and time.png there (needs the extra `plots`).")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors and results.")
 @outside_option
@@ -87,7 +89,7 @@ def simulate(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], 
 @click.option("--depth", type=Number(1, 31), metavar="N", help="As for render.")
 @click.option("--split", type=click.Choice(["balanced", "uniform"]), default="uniform", show_default=True,
               help="As for render.")
-@click.option("-o", "--output", "folder", type=click.Path(), default="law", show_default=True, metavar="FOLDER",
+@click.option("-o", "--output", "folder", type=FileName(), default="law", show_default=True, metavar="FOLDER",
               help="Where the report goes.")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors and results.")
 @outside_option

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from raygrid.host.cli_types import AnyType, Number, Shape
+from raygrid.host.cli_types import AnyType, FileName, Number, Shape
 
 # Options of `render` that a job has, too; the others belong to the array, and so to `up`.
 SETTINGS = ("size", "samples", "depth", "min_weight", "highlights", "split")
@@ -26,8 +26,7 @@ Jobs that were not done when the array of that name was taken down, or crashed, 
 SUBMIT_EXAMPLES = """\b
 Examples:
   raygrid submit scenes/room.glb -o room.png
-  raygrid submit scenes/room.glb --size 640x480 --frames 1-250 -o out/f_%04d.png --resume
-  raygrid submit scenes/mobile.toml --frames 1-48 -o out/m_%04d.png
+  raygrid submit scenes/mobile.toml --frames 1-48 -o out/m_%04d.png --resume
   raygrid submit scenes/glass.toml --turntable 72 --name film --detach
 
 Ctrl-C cancels the job. If this command is killed, or its terminal closed, the job goes on: raygrid jobs shows it.
@@ -133,10 +132,10 @@ def up(**options: Any) -> None:
 @_name_option
 @click.option("--frames", type=Frames(), metavar="A-B",
               help="Frames to render.  [default: all of a turntable, else one, without a number]")
-@click.option("-o", "--output", "outputs", multiple=True, type=click.Path(), metavar="FILE",
+@click.option("-o", "--output", "outputs", multiple=True, type=FileName(), metavar="FILE",
               help="As for render; with --frames, %04d stands for the number of the frame. May be repeated.  "
                    "[default: the scene's name with .png, or with _%04d.png, here]")
-@click.option("--stats", type=click.Path(), metavar="FILE", help="As for render; %04d as for -o.")
+@click.option("--stats", type=FileName(), metavar="FILE", help="As for render; %04d as for -o.")
 @click.option("--resume", is_flag=True, help="Skip frames whose files are there, whole, and of just this job.")
 @click.option("--detach", is_flag=True, help="Print the number of the job and return at once.")
 @click.option("--json", "as_json", is_flag=True, help="Print a line of JSON for each event.")

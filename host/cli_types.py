@@ -14,6 +14,10 @@ else:
     AnyType = click.ParamType  # not generic before click 8.4
 
 
+MOST_SIDE, MOST_PIXELS = 65536, 1 << 28  # those of `raygrid.host.job`, which takes long to import
+SIZES = f"wanted sides of 1 to {MOST_SIDE} and at most {MOST_PIXELS:,} pixels"
+
+
 class Pair(AnyType):
     """Two whole numbers, `512x384`."""
 
@@ -25,8 +29,23 @@ class Pair(AnyType):
         if len(numbers) != 2 or not all(number.isascii() and number.isdigit() for number in numbers):
             self.fail(f"{shorten(value)} came, wanted two whole numbers such as 512x384", param, ctx)
         if any(len(number) > 9 or int(number) < 1 for number in numbers):
-            self.fail(f"{shorten(value)} came, wanted sides of 1 to 65536", param, ctx)
-        return int(numbers[0]), int(numbers[1])
+            self.fail(f"{shorten(value)} came, {SIZES}", param, ctx)
+        width, height = int(numbers[0]), int(numbers[1])
+        if max(width, height) > MOST_SIDE or width * height > MOST_PIXELS:
+            self.fail(f"{shorten(value)} came, {SIZES}", param, ctx)
+        return width, height
+
+
+class FileName(AnyType):
+    """The name of a file or folder, there or not."""
+
+    name = "file"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Raises a usage error for what no file can be called."""
+        if not value or "\0" in str(value):
+            self.fail(f"{shorten(value)} came, wanted the name of a file", param, ctx)
+        return str(value)
 
 
 class Shape(AnyType):
@@ -106,7 +125,8 @@ class Number(AnyType):
         whole = isinstance(self._least, int)
         read: Callable[[str], float] = int if whole else float
         try:
-            number = read(value) if len(str(value)) < 40 else math.nan
+            plain = len(str(value)) < 40 and str(value).isascii() and not set(str(value)) & set("_ ")
+            number = read(value) if plain else math.nan
         except ValueError:
             number = math.nan
         if not self._least <= number <= self._most:

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 
 from raygrid.emulator.array import Array
 from raygrid.host.load import check_name
+from raygrid.host.misuse import OutputMisuse
 from raygrid.host.moving_pictures import PLAYED, Reel, check_played
 from raygrid.host.outputs import check_different, check_path, check_picture_path, check_side, write_result
 from raygrid.host.progress import Talk
-from raygrid.node.errors import OutputError, SceneError
+from raygrid.node.errors import SceneError
 
 if TYPE_CHECKING:
     from raygrid.host.command_render import Request
@@ -26,10 +27,10 @@ LARGEST_NUMBER = 1_000_000
 
 
 def has_number(path: str) -> bool:
-    """Whether a name has a place for the number of a frame, such as %04d. Raises OutputError for any other %."""
+    """Whether a name has a place for the number of a frame, such as %04d. Raises OutputMisuse for any other %."""
     places = NUMBER.findall(path)
     if len(places) > 1 or NUMBER.sub("", path).count("%"):
-        raise OutputError(f"{path}: the output has a % in its name that is no number, wanted one such as %04d")
+        raise OutputMisuse(f"{path}: the output has a % in its name that is no number, wanted one such as %04d")
     return bool(places)
 
 
@@ -101,14 +102,14 @@ def run_frames(request: Request) -> None:
 
 
 def _check_names(request: Request) -> None:
-    """Raise OutputError for outputs that cannot be, before the work."""
+    """Raise OutputMisuse for outputs that cannot be, before the work."""
     for output in request.outputs:
         if is_played(output):
             check_played(output)
         elif has_number(output):
             check_picture_path(named(output, LARGEST_NUMBER))
         elif request.frames is None or request.frames[0] != request.frames[1]:
-            raise OutputError(
+            raise OutputMisuse(
                 f"{output}: several frames would go to this one file, wanted a number such as %04d in its name, "
                 f"or one of: {' '.join(PLAYED)}"
             )
@@ -119,7 +120,7 @@ def _check_names(request: Request) -> None:
         check_path(named(request.stats, LARGEST_NUMBER))
         outputs.append(request.stats)
         if not has_number(request.stats) and (request.frames is None or request.frames[0] != request.frames[1]):
-            raise OutputError(
+            raise OutputMisuse(
                 f"{request.stats}: statistics of several frames came, wanted a number such as %04d in the name"
             )
     check_different(request.scene, outputs)

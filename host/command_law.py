@@ -44,7 +44,10 @@ def run_law(request: Request) -> None:
     folder = Path(request.folder)
     if not folder.is_dir() and not folder.parent.is_dir():
         raise OutputError(f"{folder}: there is no directory {folder.parent}, wanted one that is there")
-    folder.mkdir(exist_ok=True)
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: the folder cannot be made ({error.strerror})") from None
     check_path(folder / "law.md")
     with Talk(request.quiet) as talk:
         paths = _run(request, talk)
@@ -62,7 +65,7 @@ def _run(request: Request, talk: Talk) -> list[str]:
     from raygrid.host.shot import frame_told
 
     cost = load_cost_model(request.cost)
-    pyplot("law")
+    pyplot("scipy")
     scenes = [load_scene(scene) for scene in request.scenes]
     for scene in scenes:
         if told_frame := frame_told(scene, None, False):

@@ -11,7 +11,7 @@ from typing import Any
 
 from raygrid.host.client import Connection
 from raygrid.host.frames import Turntable, check_pattern, path_of
-from raygrid.host.load import check_name
+from raygrid.host.load import check_name, check_program_name
 from raygrid.host.outputs import check_different, check_path, check_picture_path, write_result
 from raygrid.host.progress import PHASES, Talk
 from raygrid.host.service_files import find
@@ -82,13 +82,11 @@ def _default_outputs(order: Order) -> tuple[str, ...]:
 
 def _check(order: Order, outputs: tuple[str, ...]) -> None:
     """What can be seen to be wrong before the array is asked. Raises SceneError, OutputError."""
-    from raygrid.host.load import READERS
-
     check_name(order.scene)
-    if Path(order.scene).suffix.lower() not in READERS:
-        raise SceneError(f"{order.scene}: the suffix is unknown, wanted one of: {' '.join(READERS)}")
     if not os.path.isfile(order.scene):
         raise SceneError(f"{order.scene}: there is no such file")
+    if order.program is not None:
+        check_program_name(order.program)
     if order.program is not None and not os.path.isfile(order.program):
         raise SceneError(f"{order.program}: there is no such file")
     written = [*outputs] + ([] if order.stats is None else [order.stats])

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, Strict, ValidationError
 
+from raygrid.host.misuse import CostMisuse
 from raygrid.host.regular_file import read_regular
 from raygrid.host.scene_builder import shown
 from raygrid.host.scene_toml_errors import Key, located, shown_key
@@ -173,7 +174,7 @@ def load_cost_model(name: str) -> CostModel:
     """A built-in model by its name, or one from a file whose name ends in .toml. Raises CostError."""
     if not name.endswith(".toml"):
         if name not in built_in():
-            raise CostError(
+            raise CostMisuse(
                 f"a cost model came as {shown(name)}, wanted one of {', '.join(built_in())} or a .toml file"
             )
         data = (resources.files("raygrid.emulator") / "costs" / f"{name}.toml").read_bytes()

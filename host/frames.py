@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from raygrid.node.errors import OutputError, SceneError
+from raygrid.host.misuse import OutputMisuse, SceneMisuse
 
 FIELD = re.compile(r"%(0?[0-9]?)d")
 LAST_FRAME = 999_999_999
@@ -24,13 +24,13 @@ def parse_frames(text: str) -> tuple[int, int]:
 
 
 def check_pattern(pattern: str, frames: tuple[int, int] | None) -> None:
-    """Raise OutputError if the files of several frames would have one name, or the number has more than one place."""
+    """Raise OutputMisuse if the files of several frames would have one name, or the number has more than one place."""
     if frames is None:
         return
     fields = len(FIELD.findall(pattern))
     if fields > 1 or (fields == 0 and frames[0] != frames[1]):
         came = f"{fields} places" if fields else "no place"
-        raise OutputError(f"{pattern}: the output has {came} for the frame's number, wanted one, such as f_%04d.png")
+        raise OutputMisuse(f"{pattern}: the output has {came} for the frame's number, wanted one, such as f_%04d.png")
 
 
 def path_of(pattern: str, frame: int | None) -> str:
@@ -49,8 +49,8 @@ class Turntable:
 
 
 def turntable_of(camera: int | None, scene: int | None) -> Turntable | None:
-    """The turntable that was asked for. Raises SceneError if both were."""
+    """The turntable that was asked for. Raises SceneMisuse if both were."""
     if camera is not None and scene is not None:
-        raise SceneError("--turntable and --turntable-scene came, wanted one of them")
+        raise SceneMisuse("--turntable and --turntable-scene came, wanted one of them")
     frames = scene if camera is None else camera
     return None if frames is None else Turntable(int(frames), scene is not None)

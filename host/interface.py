@@ -20,6 +20,7 @@ from raygrid.host.render import Watch
 from raygrid.host.scene import Scene
 from raygrid.host.shot_jobs import jobs_of
 from raygrid.host.steady import ATTEMPTS, render_steadily
+from raygrid.node.errors import ArrayError
 from raygrid.node.faulty import parse_fault
 
 MOST_BATCH = 8192  # packets; their message stays far below the longest that a link takes
@@ -64,7 +65,7 @@ class Machine:
         """
         if not isinstance(scene, Scene):
             scene = load_scene(scene, self._allow_outside)
-        job = make_job(scene, self.shape, _settings(settings))
+        job = make_job(scene, self.shape, self._settings(settings))
         return render_steadily(self._array, job, budget, watch, attempts=attempts)
 
     def render_frames(
@@ -85,8 +86,14 @@ class Machine:
         """
         if not isinstance(scene, Scene):
             scene = load_scene(scene, self._allow_outside)
-        for job in jobs_of(scene, self.shape, _settings(settings), frames):
+        for job in jobs_of(scene, self.shape, self._settings(settings), frames):
             yield render_steadily(self._array, job, budget, watch, attempts=attempts)
+
+    def _settings(self, given: dict[str, Any]) -> Settings:
+        program = given.get("program")
+        if program is not None and not self._array.programs:
+            raise ArrayError("a program is code that runs with your rights, wanted launch(..., allow_programs=True)")
+        return Settings(**given | ({"program": read_program(program)} if isinstance(program, str | Path) else {}))
 
     def probe(self, rate: float, watch: Callable[[Sample], object] | None) -> None:
         """Let every node tell `rate` times a second how it stands, while the array renders; 0: no more (docs/probes.md).
@@ -111,11 +118,6 @@ class Machine:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._array.__exit__(kind, error, trace)
-
-
-def _settings(given: dict[str, Any]) -> Settings:
-    program = given.get("program")
-    return Settings(**given | ({"program": read_program(program)} if isinstance(program, str | Path) else {}))
 
 
 def launch(

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.emulator.split import SPLITS, split
+from raygrid.host.load import WantsProgram
+from raygrid.host.misuse import SceneMisuse
 from raygrid.host.scene import Scene
 from raygrid.node.errors import SceneError
 from raygrid.node.frame import POINT
@@ -101,12 +103,10 @@ def make_job(
 
 
 def check_program(scene: Scene, program: Program | None) -> None:
-    """Raise SceneError for surfaces that nobody can hit without a program, if there is none that does."""
+    """Raise WantsProgram for surfaces that nobody can hit without a program, if there is none that does."""
     programmed = scene.surfaces.count(AddedKind.PROGRAMMED)
     if programmed and (program is None or "surface_hits" not in program.hooks):
-        raise SceneError(
-            f"{scene.name}: {programmed} surfaces of a program came, wanted a program with surface_hits (--program)"
-        )
+        raise WantsProgram(f"{scene.name}: {programmed} surfaces of a program came, wanted a program with surface_hits")
 
 
 def make_frame(scene: Scene, world: World, settings: Settings) -> Frame:
@@ -114,7 +114,8 @@ def make_frame(scene: Scene, world: World, settings: Settings) -> Frame:
     width, height = _pair(_first(settings.size, scene.size, DEFAULT_SIZE))
     samples = _whole("samples a pixel", _first(settings.samples, scene.samples, 1))
     depth = _whole("depth", _first(settings.depth, scene.depth, DEFAULT_DEPTH))
-    _check_size(width, height, samples, depth)
+    asked = any(value is not None for value in (settings.size, settings.samples, settings.depth))
+    _check_size(width, height, samples, depth, SceneMisuse if asked else SceneError)
     if len(scene.lights) > MAX_LIGHTS:
         raise SceneError(f"{scene.name}: {len(scene.lights)} lights came, wanted at most {MAX_LIGHTS}")
     highlights = scene.highlights if settings.highlights is None else settings.highlights
@@ -183,18 +184,18 @@ def _whole(what: str, value: Any) -> int:
         raise SceneError(f"{what} came as {value!r}, wanted a whole number") from None
 
 
-def _check_size(width: int, height: int, samples: int, depth: int) -> None:
+def _check_size(width: int, height: int, samples: int, depth: int, wrong: type[SceneError]) -> None:
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE and width * height <= MAX_PIXELS):
-        raise SceneError(
+        raise wrong(
             f"a size came as {width}x{height}, wanted sides of 1 to {MAX_SIDE} and at most {MAX_PIXELS:,} pixels"
         )
     if samples < 1 or width * height * samples > MAX_SAMPLES:
         most = MAX_SAMPLES // (width * height)
-        raise SceneError(
+        raise wrong(
             f"{samples} samples a pixel came, wanted 1 to {most} for {width}x{height} (sample numbers have 32 bits)"
         )
     if not 1 <= depth <= MAX_DEPTH:
-        raise SceneError(f"a depth came as {depth}, wanted 1 to {MAX_DEPTH}")
+        raise wrong(f"a depth came as {depth}, wanted 1 to {MAX_DEPTH}")
 
 
 def _machine_camera(camera: NDArray[Any], world: World) -> NDArray[np.float64]:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from raygrid.host.clean_text import printable
+from raygrid.host.misuse import ArrayMisuse, SceneMisuse
 from raygrid.node.errors import ArrayError, SceneError
 
 if TYPE_CHECKING:
@@ -34,9 +35,9 @@ REMEDY = "--allow-outside (in Python allow_outside=True)"
 
 
 def check_name(path: str | Path) -> None:
-    """Raise SceneError for what cannot be the name of a scene's file."""
+    """Raise SceneMisuse for what cannot be the name of a scene, whatever is there; SceneError for a directory."""
     if not str(path) or "\0" in str(path):
-        raise SceneError(f"a scene came as {str(path)!r}, wanted the name of a file")
+        raise SceneMisuse(f"a scene came as {str(path)!r}, wanted the name of a file")
     if os.path.isdir(path):
         raise SceneError(
             f"{printable(str(path))}: the scene is a directory, wanted a file of one of: {' '.join(READERS)}"
@@ -44,13 +45,20 @@ def check_name(path: str | Path) -> None:
     suffix = Path(path).suffix
     if suffix.lower() not in READERS:
         came = f"the suffix {suffix!r}" if suffix else "no suffix"
-        raise SceneError(f"{printable(str(path))}: the file has {came}, wanted one of: {' '.join(READERS)}")
+        raise SceneMisuse(f"{printable(str(path))}: the file has {came}, wanted one of: {' '.join(READERS)}")
+
+
+class WantsProgram(SceneError):
+    """A scene has surfaces of a program, and no program came that knows them."""
 
 
 def check_allowed(path: str | None, allowed: bool) -> None:
-    """Raise ArrayError for a program that nobody has allowed."""
-    if path is not None and not allowed:
-        raise ArrayError(
+    """Raise ArrayMisuse for a program of a command that launches an array, if it was not allowed there."""
+    if path is None:
+        return
+    check_program_name(path)
+    if not allowed:
+        raise ArrayMisuse(
             f"{path}: a program is code that runs with your rights, wanted --allow-programs to launch an array that takes it"
         )
 
@@ -66,6 +74,21 @@ def outside_allowed() -> Iterator[None]:
         yield
     finally:
         _allowed.reset(before)
+
+
+def check_program_name(path: str | Path) -> None:
+    """Raise SceneMisuse for what cannot be the name of a program."""
+    suffix = Path(path).suffix
+    if suffix.lower() != ".py":
+        raise SceneMisuse(f"{path}: the program has the suffix {suffix!r}, wanted .py")
+
+
+def check_taken(path: str | None, taken: bool) -> None:
+    """Raise ArrayError for a program of a job, if the array that stays takes none."""
+    if path is not None and not taken:
+        raise ArrayError(
+            f"{path}: a program is code that runs with your rights, wanted an array of raygrid up --allow-programs"
+        )
 
 
 def load_scene(path: str | Path, allow_outside: bool = False, remedy: str = REMEDY) -> Scene:

@@ -30,6 +30,7 @@ from raygrid.host.scene_finish import UNLIT
 from raygrid.host.scene_lights import Table, light_table, point_light
 from raygrid.host.scene_nff_words import GRAMMAR, NAMES, Words
 from raygrid.host.scene_polygons import Ints
+from raygrid.host.standard_streams import shown_name
 from raygrid.node.errors import SceneError
 from raygrid.node.frame import MATERIAL
 from raygrid.node.surfaces import F64, Kind
@@ -58,7 +59,7 @@ def parse_nff(path: Path, text: bytes) -> Scene:
     lights = _lights(words, builder)
     surfaces, materials, remarks = builder.finish()
     return Scene(
-        name=path.name,
+        name=shown_name(path.name),
         surfaces=surfaces,
         materials=materials,
         lights=lights,

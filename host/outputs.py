@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
+from raygrid.host.misuse import OutputMisuse
 from raygrid.node.errors import OutputError
 
 
@@ -40,7 +41,7 @@ def check_picture_path(path: str | Path) -> None:
     suffix = Path(path).suffix.lower()
     if os.fspath(path) and not os.path.isdir(path) and suffix != SUMS and suffix not in FORMATS:
         came = f"the suffix {suffix!r}" if suffix else "no suffix"
-        raise OutputError(f"{path}: the output has {came}, wanted one of: {' '.join((*FORMATS, SUMS))}")
+        raise OutputMisuse(f"{path}: the output has {came}, wanted one of: {' '.join((*FORMATS, SUMS))}")
     check_path(path)
 
 
@@ -48,7 +49,7 @@ def check_path(path: str | Path) -> None:
     """Raise OutputError if no file can be written there."""
     name = os.fspath(path)
     if not name or "\0" in name:
-        raise OutputError(f"an output came as {name!r}, wanted the name of a file")
+        raise OutputMisuse(f"an output came as {name!r}, wanted the name of a file")
     target = os.path.realpath(path)
     folder = os.path.dirname(target)
     if os.path.isdir(target):
@@ -71,7 +72,7 @@ def check_side(path: str | Path, width: int, height: int) -> None:
     """Raise OutputError if the format cannot hold a picture of that size."""
     kind = FORMATS.get(Path(path).suffix.lower())
     if kind is not None and max(width, height) > kind.longest:
-        raise OutputError(
+        raise OutputMisuse(
             f"{path}: the picture has {width}x{height} pixels, wanted sides of at most {kind.longest} for {kind.name}"
         )
 

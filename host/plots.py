@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 FILES = ("busy.png", "links.png", "time.png")
 
 
-def pyplot(extra: str = "plots") -> Any:
-    """matplotlib without a display. Raises OutputError if it is not installed; extra: that brings all that is wanted."""
+def pyplot(*others: str) -> Any:
+    """matplotlib without a display. Raises OutputError if it is not installed; others: libraries that are wanted as well."""
     try:
         import matplotlib
     except ImportError:
-        raise OutputError(f"plots need matplotlib: pip install 'raygrid[{extra}]'") from None
+        raise OutputError(f"plots need matplotlib: pip install {' '.join(('matplotlib', *others))}") from None
     matplotlib.use("Agg")
     import matplotlib.pyplot
 

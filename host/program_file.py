@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 from pathlib import Path
 
+from raygrid.host.load import check_program_name
 from raygrid.host.scene_files import read_bytes
 from raygrid.node.errors import ProtocolError, SceneError
 from raygrid.node.programs import Compiled, Program, make_program, program_order
@@ -13,8 +14,7 @@ from raygrid.node.programs import Compiled, Program, make_program, program_order
 def read_program(path: str | Path) -> Program:
     """The program of a file. Raises SceneError for what is none."""
     file = Path(path)
-    if file.suffix.lower() != ".py":
-        raise SceneError(f"{path}: the program has the suffix {file.suffix!r}, wanted .py")
+    check_program_name(path)
     try:
         return make_program(file.stem, read_bytes(file).decode("utf-8"))
     except UnicodeDecodeError as error:

@@ -12,6 +12,7 @@ from raygrid.host.cameras import Camera, Vector, look_at_everything
 from raygrid.host.scene import Colour, Scene
 from raygrid.host.scene_builder import SceneBuilder
 from raygrid.host.scene_lights import INVENTED_BACKGROUND, invented_lights
+from raygrid.host.standard_streams import shown_name
 
 # Remarks, here by name because a scene file leaves them out for the files that it takes surfaces from.
 NO_CAMERA = "no camera in the file: one that looks at everything invented"
@@ -47,7 +48,7 @@ def finish_scene(
         lights = invented_lights(camera)
         invented.append(NO_LIGHT)
     return Scene(
-        name=path.name,
+        name=shown_name(path.name),
         surfaces=surfaces,
         materials=materials,
         lights=lights,

@@ -17,7 +17,7 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.host.scene_builder import shown
+from raygrid.host.scene_builder import shown, unreadable
 from raygrid.host.scene_files import read_bytes
 from raygrid.node.errors import SceneError
 from raygrid.node.surfaces import F64
@@ -44,7 +44,7 @@ class Document:
         try:
             self.json = json.loads(text)
         except (ValueError, RecursionError) as error:
-            raise self.error(f"the JSON cannot be read ({error})") from None
+            raise self.error(f"the JSON cannot be read ({unreadable(error)})") from None
         if not isinstance(self.json, dict) or not isinstance(self.json.get("asset"), dict):
             raise self.error("the JSON has no asset, wanted a glTF document")
         version = str(self.json["asset"].get("version", ""))

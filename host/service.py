@@ -279,11 +279,11 @@ class Service:
         return answer
 
     async def _do_submit(self, client: Client, request: Submit) -> Message:
-        from raygrid.host.load import check_allowed
+        from raygrid.host.load import check_taken
 
         if self._finishing or self._state == "ending":
             raise ArrayError(f"the array {self._name!r} is being taken down, and takes no more jobs")
-        check_allowed(request.program, self._options.programs)
+        check_taken(request.program, self._options.programs)
         entry = self._jobs.submit(request)
         if request.follow:
             client.follows.add(entry.job)

@@ -29,5 +29,6 @@ def read_toml(data: bytes) -> tuple[str, dict[str, Any]]:
         return text, tomllib.loads(text)
     except RecursionError:
         raise ValueError("its lists and tables lie too deep within each other") from None
-    except ValueError as error:
-        raise ValueError(printable(str(error), 500)) from None
+    except ValueError as error:  # Python's own words on long numbers advise programmers
+        said = "a number in it has too many digits" if type(error) is ValueError else str(error)
+        raise ValueError(printable(said, 500)) from None

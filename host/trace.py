@@ -9,6 +9,7 @@ import numpy as np
 
 from raygrid.emulator.provenance import Provenance, Ray, Sample
 from raygrid.host.job import Job
+from raygrid.host.misuse import SceneMisuse
 from raygrid.host.scene import light_kind
 from raygrid.node.pixels import UNIT
 from raygrid.node.surfaces import AnyKind
@@ -20,8 +21,9 @@ SHADOW = "shadow"
 def trace_pixel(job: Job, x: int, y: int, only: int | None = None) -> dict[str, Any]:
     """The ray trees of the samples of a pixel, row 0 on top; `only`: of that sample (docs/trace.md).
 
-    Raises SceneError for a pixel or sample that is not there, ArrayError if the array contradicts itself.
+    Raises SceneMisuse for a pixel or sample that is not there, ArrayError if the array contradicts itself.
     """
+    _check_place(job, x, y, only)
     samples = Provenance(job.space, job.surfaces, job.frame).pixel(x, y, only)
     trees = _Trees(job)
     units = np.sum([sample.units for sample in samples], axis=0)
@@ -40,6 +42,14 @@ def trace_pixel(job: Job, x: int, y: int, only: int | None = None) -> dict[str, 
         "linear": (units / (UNIT * len(samples))).tolist(),
         "trees": [trees.sample(sample) for sample in samples],
     }
+
+
+def _check_place(job: Job, x: int, y: int, only: int | None) -> None:
+    frame = job.frame
+    if not (0 <= x < frame.width and 0 <= y < frame.height):
+        raise SceneMisuse(f"a pixel came as {x},{y}, wanted 0,0 to {frame.width - 1},{frame.height - 1}")
+    if only is not None and not 0 <= only < frame.samples:
+        raise SceneMisuse(f"a sample came as {only}, wanted 0 to {frame.samples - 1}")
 
 
 class _Trees:

@@ -216,7 +216,7 @@ class Worker(threading.Thread):
     # --- one frame ------------------------------------------------------------------------------------
 
     def _frame(self, task: Task) -> Event:
-        from raygrid.host.load import check_allowed
+        from raygrid.host.load import check_taken
         from raygrid.host.outputs import check_path, check_picture_path, check_side
 
         assert self._store is not None
@@ -225,7 +225,7 @@ class Worker(threading.Thread):
         files = [path_of(pattern, task.frame) for pattern in request.outputs]
         stats = None if request.stats is None else path_of(request.stats, task.frame)
         self._tell(task, "read", 0.0, 0)
-        check_allowed(request.program, self._options.programs)  # a job of the journal may have had another array
+        check_taken(request.program, self._options.programs)  # a job of the journal may have had another array
         ready = self._store.frame(request.wanted(), task.frame)
         self._note(task, ready.remarks)
         digest = ready.digest(task.frame, request.transfer)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import secrets
+import shutil
 import signal
+import tempfile
 from collections.abc import Iterator
 
 import pytest
@@ -44,8 +46,17 @@ def nothing_left() -> Iterator[None]:
         pytest.fail("the tests of this file left behind:\n" + "\n".join(f"  {line}" for line in left), pytrace=False)
 
 
-def pytest_configure() -> None:
-    """A shell lets what it starts in the background ignore Ctrl-C, and children inherit that: tests of it would hang."""
+def pytest_configure(config: pytest.Config) -> None:
+    """A shell lets what it starts in the background ignore Ctrl-C, and children inherit that: tests of it would hang.
+
+    A worker of pytest-xdist gets a session and a place for sockets of its own, so that what its tests leave behind is told
+    from what the other workers are using.
+    """
+    if hasattr(config, "workerinput"):
+        os.setsid()
+        runtime = tempfile.mkdtemp(prefix="rgtest-", dir="/tmp")
+        os.environ["XDG_RUNTIME_DIR"] = runtime
+        config.add_cleanup(lambda: shutil.rmtree(runtime, ignore_errors=True))
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 

@@ -64,6 +64,11 @@ def one_line(outcome: Outcome, code: int, pattern: str) -> None:
     assert outcome.code == code
 
 
+def misused(outcome: Outcome, command: str, pattern: str) -> None:
+    """It is misuse of this command, told in one line that ends with where to read more."""
+    one_line(outcome, 2, rf"raygrid {command}: {pattern} \(raygrid {command} --help says more\)")
+
+
 @pytest.fixture(scope="module")
 def warm_kernels() -> None:
     """Compile what is not in the cache yet, so that no test hears of it."""

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support_cli import TINY, as_process, here, one_line, warm_kernels
+from support_cli import TINY, as_process, here, misused, one_line, warm_kernels
 
 from raygrid.host import outputs
 
@@ -22,7 +22,13 @@ pytestmark = pytest.mark.usefixtures("no_leftovers")
 GOOD = Path(TINY).read_text()
 PICTURES = ".png .jpg .jpeg .webp .tif .tiff .bmp .ppm .npy"
 
-WHOLE, SIDES = "wanted a whole number from", "wanted sides of 1 to 65536"
+
+def refused(outcome, code, line):
+    """By `raygrid render`, in one line: as misuse, or as what has failed."""
+    misused(outcome, "render", line) if code == 2 else one_line(outcome, code, f"raygrid: {line}")
+
+
+WHOLE, SIDES = "wanted a whole number from", "wanted sides of 1 to 65536 and at most 268,435,456 pixels"
 CUBE = "wanted three numbers from 1 to 65535, such as 4x4x4, or 4x4x1 for a square array"
 MISUSE = [  # arguments after "raygrid render SCENE", the line between "raygrid render: " and where to read more
     (["--size", "0x0"], f"--size: '0x0' came, {SIDES}"),
@@ -69,49 +75,49 @@ def test_misused_commands():
     one_line(here("info", TINY, "--samples", "3"), 2, r"raygrid info: No such option '?--samples'?.*")
 
 
-TOO_MUCH = [  # arguments, the line
-    (
-        ["--size", "100000x100000"],
-        "a size came as 100000x100000, wanted sides of 1 to 65536 and at most 268,435,456 pixels",
-    ),
-    (
-        ["--size", "40000x40000"],
-        "a size came as 40000x40000, wanted sides of 1 to 65536 and at most 268,435,456 pixels",
-    ),
+TOO_MUCH = [  # arguments, the code, the line
+    (["--size", "100000x100000"], 2, f"--size: '100000x100000' came, {SIDES}"),
+    (["--size", "40000x40000"], 2, f"--size: '40000x40000' came, {SIDES}"),
     (
         ["--samples", "4000000000"],
+        2,
         r"4000000000 samples a pixel came, wanted 1 to 65536 for 256x256 \(sample numbers have 32 bits\)",
     ),
     (
         ["--array", "1000x1000x1000"],
+        1,
         r"a 1000x1000x1000 array does not fit this computer: its 1000000000 processors need .+, and .+ leaves .+; largest that fits: (\d+)x\1x\1",
     ),
     (
         ["--size", "20000x100", "-o", "x.webp"],
+        2,
         "x.webp: the picture has 20000x100 pixels, wanted sides of at most 16383 for WEBP",
     ),
     (
         ["--size", "100x65501", "-o", "x.jpg"],
+        2,
         "x.jpg: the picture has 100x65501 pixels, wanted sides of at most 65500 for JPEG",
     ),
 ]
 
 
-@pytest.mark.parametrize(("arguments", "line"), TOO_MUCH, ids=[" ".join(row[0]) for row in TOO_MUCH])
-def test_what_is_too_large(arguments, line, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("arguments", "code", "line"), TOO_MUCH, ids=[" ".join(row[0]) for row in TOO_MUCH])
+def test_what_is_too_large(arguments, code, line, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    one_line(here("render", TINY, *arguments), 1, f"raygrid: {line}")
+    refused(here("render", TINY, *arguments), code, line)
     assert list(tmp_path.iterdir()) == []
 
 
+NO_OUTPUTS = [  # arguments, the line, of what no output can be called
+    (["-o", ""], "--output: '' came, wanted the name of a file"),
+    (["-o", "x"], f"x: the output has no suffix, wanted one of: {PICTURES}"),
+    (["-o", "x.xyz"], f"x.xyz: the output has the suffix '.xyz', wanted one of: {PICTURES}"),
+    (["-o", "x.h5"], f"x.h5: the output has the suffix '.h5', wanted one of: {PICTURES}"),
+]
 OUTPUTS = [  # arguments, the line
     (["-o", "gone/x.png"], r"gone/x.png: there is no directory .*/gone, wanted one that is there"),
     (["-o", "."], ".: the output is a directory, wanted a file"),
     (["-o", "folder.png"], "folder.png: the output is a directory, wanted a file"),
-    (["-o", ""], "an output came as '', wanted the name of a file"),
-    (["-o", "x"], f"x: the output has no suffix, wanted one of: {PICTURES}"),
-    (["-o", "x.xyz"], f"x.xyz: the output has the suffix '.xyz', wanted one of: {PICTURES}"),
-    (["-o", "x.h5"], f"x.h5: the output has the suffix '.h5', wanted one of: {PICTURES}"),
     (["-o", "/proc/x.png"], r"/proc/x.png: no such file can be made in /proc \(.+\)"),
     (["-o", "a" * 300 + ".png"], r"a{300}.png: no such file can be made in .+ \(File name too long\)"),
     (["-o", "x.png", "-o", "x.png"], "x.png: the output is the same file as the output x.png, wanted another"),
@@ -124,8 +130,12 @@ OUTPUTS = [  # arguments, the line
 ]
 
 
-@pytest.mark.parametrize(("arguments", "line"), OUTPUTS, ids=[" ".join(row[0])[:40] for row in OUTPUTS])
-def test_outputs_are_looked_at_before_anything_is_done(arguments, line, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("arguments", "line", "code"),
+    [*((*row, 2) for row in NO_OUTPUTS), *((*row, 1) for row in OUTPUTS)],
+    ids=[" ".join(row[0])[:40] for row in (*NO_OUTPUTS, *OUTPUTS)],
+)
+def test_outputs_are_looked_at_before_anything_is_done(arguments, line, code, tmp_path, monkeypatch):
     if "locked" in line and os.geteuid() == 0:
         pytest.skip("nothing is write-protected for root")
     monkeypatch.chdir(tmp_path)
@@ -134,7 +144,7 @@ def test_outputs_are_looked_at_before_anything_is_done(arguments, line, tmp_path
     (tmp_path / "folder.png").mkdir()
     (tmp_path / "locked").mkdir(mode=0o555)
     (tmp_path / "locked.png").touch(mode=0o444)
-    one_line(here("render", "tiny.nff", *arguments), 1, f"raygrid: {line}")
+    refused(here("render", "tiny.nff", *arguments), code, line)
     assert {path.name for path in tmp_path.iterdir()} == {"tiny.nff", "folder.png", "locked", "locked.png"}
 
 
@@ -179,7 +189,7 @@ def test_the_temporary_directory_is_unusable(tmp_path, monkeypatch):
     deep = tmp_path / ("d" * 100)
     deep.mkdir()
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(deep))
-    monkeypatch.setattr("raygrid.emulator.places.bases", lambda: [str(deep), "/proc", str(tmp_path / "gone")])
+    monkeypatch.setattr("raygrid.emulator.places.bases", lambda: [str(deep), "/proc", "/nowhere/gone"])
     outcome = here("render", TINY, "-o", str(tmp_path / "x.png"))
     too_long = rf"{deep} \(its socket paths would have \d+ bytes, at most 107 are allowed\)"
     line = rf"raygrid: no directory for the sockets of the array: {too_long}, /proc \(.+\), .*/gone \(No such file or directory\); wanted .+: set XDG_RUNTIME_DIR or TMPDIR"

@@ -7,7 +7,7 @@ import struct
 from pathlib import Path
 
 import pytest
-from support_cli import TINY, here, one_line
+from support_cli import TINY, here, misused, one_line
 from support_render import EIGHT, ONE, SCENES, rendered
 
 from raygrid.host.load import load_scene
@@ -172,8 +172,6 @@ FILES = [  # name, contents, the line that comes after "raygrid: "
         r"mesh.toml, line 2: meshes\[0\].file cannot be placed: .*gone.ply: there is no such file",
     ),
     ("base.toml", 'include = "gone.nff"\n', ".*gone.nff: there is no such file"),
-    ("scene.xyz", GOOD, f"scene.xyz: the file has the suffix '.xyz', wanted one of: {SUFFIXES}"),
-    ("scene", GOOD, f"scene: the file has no suffix, wanted one of: {SUFFIXES}"),
 ]
 
 
@@ -192,9 +190,25 @@ NO_FILES = [
     ("gone/scene.obj", "gone/scene.obj: there is no such file"),
     ("folder.nff", f"folder.nff: the scene is a directory, wanted a file of one of: {SUFFIXES}"),
     (".", f".: the scene is a directory, wanted a file of one of: {SUFFIXES}"),
-    ("", "a scene came as '', wanted the name of a file"),
     ("a" * 300 + ".nff", r"a{300}.nff: the file cannot be read \(File name too long\)"),
 ]
+
+
+@pytest.mark.parametrize(
+    ("name", "line"),
+    [
+        ("scene.xyz", f"scene.xyz: the file has the suffix '.xyz', wanted one of: {SUFFIXES}"),
+        ("scene", f"scene: the file has no suffix, wanted one of: {SUFFIXES}"),
+        ("", "a scene came as '', wanted the name of a file"),
+    ],
+)
+def test_names_that_no_scene_can_have_are_misuse(name, line, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for there in (False, True):
+        if there and name:
+            (tmp_path / name).write_text(GOOD)
+        misused(here("render", name, "-o", "x.png"), "render", line)
+        misused(here("info", name), "info", line)
 
 
 @pytest.mark.parametrize(("name", "line"), NO_FILES, ids=[ascii(row[0][:20]) for row in NO_FILES])

@@ -57,7 +57,9 @@ def test_every_option_has_help(words, command):
             assert parameter.help, f"{words} {parameter.opts[0]}"
 
 
-@pytest.mark.parametrize("line", re.findall(r"^ +(raygrid .*)$", here("render", "--help").out, re.M))
+@pytest.mark.parametrize(
+    "line", re.findall(r"^ +(raygrid .*)$", re.sub(r" \\\n +", " ", here("render", "--help").out), re.M)
+)
 def test_examples_parse(line):
     _, name, *arguments = line.split()
     cli.commands[name].make_context(name, arguments)

@@ -156,7 +156,7 @@ def test_command(tmp_path):
 
 def test_without_matplotlib_the_law_names_its_own_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(OutputError, match=r"raygrid\[law\]"):
+    with pytest.raises(OutputError, match=r"matplotlib scipy"):
         pyplot("law")
     with pytest.raises(OutputError, match=r"raygrid\[plots\]"):
         pyplot()

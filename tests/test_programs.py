@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support_cli import here, one_line
+from support_cli import here, misused
 from support_processes import no_leftovers
 from support_render import SCENES
 
@@ -279,6 +279,6 @@ def test_the_command_loads_a_program():
 
 
 def test_without_leave_the_command_line_takes_no_program(tmp_path):
-    said = r"raygrid: .*marble.py: a program is code that runs with your rights, wanted --allow-programs.*"
-    one_line(here("load", str(MARBLE)), 1, said)
-    one_line(here("render", str(SCENES / "marble.toml"), "--program", str(MARBLE), "-q"), 1, said)
+    said = r".*marble.py: a program is code that runs with your rights, wanted --allow-programs.*"
+    misused(here("load", str(MARBLE)), "load", said)
+    misused(here("render", str(SCENES / "marble.toml"), "--program", str(MARBLE), "-q"), "render", said)

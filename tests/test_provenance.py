@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 from oracle import read_nff
-from support_cli import RAYGRID, TINY, here, one_line, warm_kernels
+from support_cli import RAYGRID, TINY, here, misused, one_line, warm_kernels
 from support_oracle import oracle_scene, sample_offsets
 from support_render import EIGHT, ONE, SCENES, rendered, shared
 from support_terminal import Terminal
@@ -289,4 +289,4 @@ def test_a_pixel_that_is_none_is_a_usage_error(pixel):
 
 
 def test_a_pixel_outside_is_one_line():
-    one_line(here("trace", TINY, "--pixel", "256,0"), 1, r"raygrid: a pixel came as 256,0, wanted 0,0 to 255,255")
+    misused(here("trace", TINY, "--pixel", "256,0"), "trace", "a pixel came as 256,0, wanted 0,0 to 255,255")

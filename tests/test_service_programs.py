@@ -71,7 +71,7 @@ def test_jobs_have_their_own_programs(taking, tmp_path):
 
 
 def test_an_array_that_takes_no_programs_says_so(refusing, tmp_path):
-    said = r"raygrid: .*marble.py: a program is code .*, wanted --allow-programs to launch an array that takes it"
+    said = r"raygrid: .*marble.py: a program is code .*, wanted an array of raygrid up --allow-programs"
     one_line(on(refusing, "submit", str(SCENE), "--program", str(MARBLE), "--detach"), 1, said)
     with raygrid.connect(refusing) as array:
         assert array.jobs() == []  # refused when it came, not when its turn came
@@ -85,6 +85,6 @@ def test_a_job_of_the_journal_meets_an_array_that_takes_no_programs(taking, tmp_
     up(taking)
     with raygrid.connect(taking) as array:
         array.cancel([long])
-        with pytest.raises(ArrayError, match=rf"job {job} failed: .* wanted --allow-programs to launch an array"):
+        with pytest.raises(ArrayError, match=rf"job {job} failed: .* wanted an array of raygrid up --allow-programs"):
             array.wait(job)
     assert list(tmp_path.iterdir()) == []

@@ -308,7 +308,11 @@ def test_a_single_node_has_no_busiest_link():
 @pytest.mark.parametrize(
     ("arguments", "code", "pattern"),
     [
-        (["--cost", "8088"], 1, r"raygrid: a cost model came as '8088', wanted one of 8086, .* or a \.toml file"),
+        (
+            ["--cost", "8088"],
+            2,
+            r"raygrid simulate: a cost model came as '8088', wanted one of 8086, .* or a \.toml file .*",
+        ),
         (
             ["--array", "3000x3000x3000"],
             1,
