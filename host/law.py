@@ -160,7 +160,7 @@ def fit(points: Sequence[Point]) -> Fit:
     try:
         from scipy.stats import f, t
     except ImportError:
-        raise OutputError("the law needs scipy: pip install 'raygrid[law]'") from None
+        raise OutputError("the law needs scipy: pip install matplotlib scipy") from None
     kind, sizes = points[0].kind, len({point.n for point in points})
     if len(points) < LEAST_POINTS or sizes < LEAST_POINTS - 1:
         raise OutputError(
