@@ -21,7 +21,7 @@ from typing import Any
 import click
 
 from raygrid.host import cli_inspect, cli_machine, cli_service
-from raygrid.host.cli_types import Fault, Frames, Number, Pair, Shape, debug_option
+from raygrid.host.cli_types import Fault, Frames, Number, Pair, Shape, debug_option, outside_option
 
 DEBUG = "RAYGRID_DEBUG"
 # Of what a command imports nearly all stays: looking it through for cycles as often as by default takes a sixth of the time.
@@ -130,6 +130,7 @@ def cli() -> None:
               help="For experiments: links between neighbours drop, double, reorder, delay, corrupt or truncate this part "
                    "of their messages; --patience is then 3 at most.  [default rate: 0.0001]")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors. (Without a terminal there is hardly any.)")
+@outside_option
 @debug_option
 def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **options: Any) -> None:
     """Render a scene file on an array of processes.
@@ -177,6 +178,7 @@ def load(program: str, shape: tuple[int, int, int], allow_programs: bool, quiet:
 @cli.command(epilog=INFO_EXAMPLES)
 @click.argument("scene")
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
+@outside_option
 @debug_option
 def info(scene: str, as_json: bool) -> None:
     """Say what is in a scene file.
@@ -202,6 +204,7 @@ def info(scene: str, as_json: bool) -> None:
     metavar="FILE",
     help="File to write.  [default: the scene's name with .pov, here]",
 )
+@outside_option
 @debug_option
 def export(scene: str, depth: int | None, highlights: bool | None, output: str | None) -> None:
     """Write a scene file for POV-Ray 3.7.
@@ -221,6 +224,8 @@ cli_inspect.add_commands(cli, debug_option)
 
 def _lines(facts: dict[str, Any], indent: str = "") -> Iterator[str]:
     """Facts as indented text."""
+    from raygrid.host.clean_text import printable
+
     for name, value in facts.items():
         label = f"{indent}{name.replace('_', ' ')}:"
         if isinstance(value, dict):
@@ -232,7 +237,7 @@ def _lines(facts: dict[str, Any], indent: str = "") -> Iterator[str]:
                 yield (
                     indent
                     + "  "
-                    + (item if isinstance(item, str) else ", ".join(f"{k} {_short(v)}" for k, v in item.items()))
+                    + (printable(item) if isinstance(item, str) else ", ".join(f"{k} {_short(v)}" for k, v in item.items()))
                 )
         else:
             yield f"{label} {_short(value)}"
@@ -328,6 +333,9 @@ def _told(error: Exception) -> str:
 
 
 def _say(line: str) -> None:
+    from raygrid.host.clean_text import printable
+
+    line = printable(line)
     with contextlib.suppress(OSError, ValueError):
         click.echo(line, err=True)
 

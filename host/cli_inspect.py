@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from raygrid.host.cli_service import ArrayName
-from raygrid.host.cli_types import AnyType, Number, Pair, Shape
+from raygrid.host.cli_types import AnyType, Number, Pair, Shape, outside_option
 
 Command = Callable[..., Any]
 
@@ -79,6 +79,7 @@ def _frame_options(command: Command) -> Command:
 @click.option("--sample", type=Number(0, 1 << 32), metavar="K", help="This sample of the pixel only.  [default: all]")
 @_frame_options
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
+@outside_option
 def trace(
     scene: str, shape: tuple[int, int, int], pixel: tuple[int, int], sample: int | None, as_json: bool, **settings: Any
 ) -> None:
@@ -99,6 +100,7 @@ def trace(
               help="Primary rays alive at once, with admission.  [default: as many as can surely not jam, 1 at least]")
 @_frame_options
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
+@outside_option
 def jam(
     scene: str, shape: tuple[int, int, int], room: int, budget: int | None, as_json: bool, **settings: Any
 ) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from raygrid.host.cli_types import Edges, Number, Pair, Shape, debug_option
+from raygrid.host.cli_types import Edges, Number, Pair, Shape, debug_option, outside_option
 
 SIMULATE_EXAMPLES = """\b
 Examples:
@@ -54,6 +54,7 @@ Writes law.md, law.csv and a plot for each scene. docs/paper.md says what came o
 @click.option("--plots", type=click.Path(), metavar="FOLDER",
               help="Write busy.png, links.png and time.png there (needs the extra `plots`).")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors and results.")
+@outside_option
 @debug_option
 def simulate(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **options: Any) -> None:
     """Simulate an array in machine time: how long a frame would take, and why.
@@ -88,6 +89,7 @@ def simulate(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], 
 @click.option("-o", "--output", "folder", type=click.Path(), default="law", show_default=True, metavar="FOLDER",
               help="Where the report goes.")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors and results.")
+@outside_option
 @debug_option
 def law(scenes: tuple[str, ...], folder: str, **options: Any) -> None:
     """Fit the law of 1983 to simulated frames: T = A + B n + C R / n^2 on n x n processors, C R / n^3 on n x n x n.

@@ -118,6 +118,8 @@ def _json_option(command: Command) -> Command:
 @click.option("--patience", type=Number(0.1, 1e9), default=30.0, show_default=True, metavar="SECONDS",
               help="Time without any progress after which the array is taken to hang.")
 @click.option("--allow-programs", is_flag=True, help="Take programs. They run with your rights.")
+@click.option("--allow-outside", is_flag=True,
+              help="Let the scenes of all jobs refer to files outside their folders. They are read with your rights.")
 @_json_option
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors.")
 def up(**options: Any) -> None:

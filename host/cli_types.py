@@ -123,3 +123,16 @@ def shorten(value: Any) -> str:
 def debug_option(command: Callable[..., Any]) -> Callable[..., Any]:
     """--debug, understood before and after the command's name; `main` looks for it before anything else."""
     return click.option("--debug", is_flag=True, expose_value=False, help="Show the tracebacks of errors.")(command)
+
+
+def outside_option(command: Callable[..., Any]) -> Callable[..., Any]:
+    """--allow-outside, of every command that reads a scene: it holds for all that the command reads."""
+
+    def allow(ctx: click.Context, _param: click.Parameter, value: bool) -> None:
+        from raygrid.host.load import outside_allowed
+
+        if value:
+            ctx.with_resource(outside_allowed())
+
+    text = "Let the scene refer to files outside its folder. They are read with your rights."
+    return click.option("--allow-outside", is_flag=True, expose_value=False, callback=allow, help=text)(command)

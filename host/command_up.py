@@ -29,6 +29,7 @@ class Launch:
     batch: int
     patience: float
     allow_programs: bool
+    allow_outside: bool
     as_json: bool
     quiet: bool
 
@@ -69,7 +70,7 @@ def _start(launch: Launch, talk: Talk) -> dict[str, Any]:
     """Start the process; returns what it says when it is ready."""
     arguments = [launch.name, "--array", *map(str, launch.shape)]
     arguments += ["--batch", str(launch.batch), "--patience", str(launch.patience)]
-    arguments += ["--programs"] * launch.allow_programs
+    arguments += ["--programs"] * launch.allow_programs + ["--outside"] * launch.allow_outside
     try:
         # -P: modules that happen to lie where the user stands are not what the service imports.
         process = subprocess.Popen(

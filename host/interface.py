@@ -30,8 +30,8 @@ __all__ = ["Machine", "Picture", "Scene", "launch", "load_scene"]
 class Machine:
     """A launched array. Use as a context manager; when it closes, no process, socket or file is left."""
 
-    def __init__(self, array: Array) -> None:
-        self._array = array
+    def __init__(self, array: Array, allow_outside: bool = False) -> None:
+        self._array, self._allow_outside = array, allow_outside
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -63,7 +63,7 @@ class Machine:
         Raises SceneError for a scene or settings that cannot be rendered, ArrayError if the array fails.
         """
         if not isinstance(scene, Scene):
-            scene = load_scene(scene)
+            scene = load_scene(scene, self._allow_outside)
         job = make_job(scene, self.shape, _settings(settings))
         return render_steadily(self._array, job, budget, watch, attempts=attempts)
 
@@ -84,7 +84,7 @@ class Machine:
         The rest, and what is raised, as for `render`. `raygrid.host.turntable` makes a shot of a still scene.
         """
         if not isinstance(scene, Scene):
-            scene = load_scene(scene)
+            scene = load_scene(scene, self._allow_outside)
         for job in jobs_of(scene, self.shape, _settings(settings), frames):
             yield render_steadily(self._array, job, budget, watch, attempts=attempts)
 
@@ -124,6 +124,7 @@ def launch(
     batch: int = BATCH,
     patience: float = PATIENCE,
     allow_programs: bool = False,
+    allow_outside: bool = False,
     fault: str | None = None,
 ) -> Machine:
     """Launch an array of node processes on this computer, and wait until it is ready.
@@ -132,6 +133,7 @@ def launch(
     batch     most packets a message
     patience  seconds without any progress after which the array is taken to hang
     allow_programs  whether nodes take programs: code that runs with your rights
+    allow_outside   whether files of scenes may refer to files outside their folders, which are read with your rights
     fault     for experiments: what links between neighbours do to messages, "KIND[:RATE[:SEED]]" (`node.faulty`)
     Raises ValueError for what none of these can be, TooLarge for an array that does not fit this computer.
     """
@@ -141,4 +143,5 @@ def launch(
         raise ValueError(f"a patience came as {patience}, wanted seconds above 0")
     cells = parse_shape(shape if isinstance(shape, str) else "x".join(map(str, shape)))
     plan = None if fault is None else parse_fault(fault)
-    return Machine(Array.launch(cells, batch=batch, patience=patience, fault=plan, programs=allow_programs))
+    array = Array.launch(cells, batch=batch, patience=patience, fault=plan, programs=allow_programs)
+    return Machine(array, allow_outside)

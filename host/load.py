@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from raygrid.host.clean_text import printable
 from raygrid.node.errors import ArrayError, SceneError
 
 if TYPE_CHECKING:
@@ -24,10 +29,22 @@ READERS = {
 }
 
 
+MOST_REMARKS = 100
+REMEDY = "--allow-outside (in Python allow_outside=True)"
+
+
 def check_name(path: str | Path) -> None:
-    """Raise SceneError for what cannot be the name of a file."""
+    """Raise SceneError for what cannot be the name of a scene's file."""
     if not str(path) or "\0" in str(path):
         raise SceneError(f"a scene came as {str(path)!r}, wanted the name of a file")
+    if os.path.isdir(path):
+        raise SceneError(
+            f"{printable(str(path))}: the scene is a directory, wanted a file of one of: {' '.join(READERS)}"
+        )
+    suffix = Path(path).suffix
+    if suffix.lower() not in READERS:
+        came = f"the suffix {suffix!r}" if suffix else "no suffix"
+        raise SceneError(f"{printable(str(path))}: the file has {came}, wanted one of: {' '.join(READERS)}")
 
 
 def check_allowed(path: str | None, allowed: bool) -> None:
@@ -38,19 +55,44 @@ def check_allowed(path: str | None, allowed: bool) -> None:
         )
 
 
-def load_scene(path: str | Path) -> Scene:
+_allowed: ContextVar[bool] = ContextVar("allowed", default=False)
+
+
+@contextmanager
+def outside_allowed() -> Iterator[None]:
+    """Let all scenes that this thread reads in this block refer to files outside their folders."""
+    before = _allowed.set(True)
+    try:
+        yield
+    finally:
+        _allowed.reset(before)
+
+
+def load_scene(path: str | Path, allow_outside: bool = False, remedy: str = REMEDY) -> Scene:
     """Read a scene, of any format known.
 
-    Raises SceneError for an unknown suffix, a missing or unreadable file, and whatever its reader refuses.
+    allow_outside  whether it may refer to files outside its folder; of a scene within another the other's was asked
+    remedy         what the error says that allows it
+    Raises SceneError for an unknown suffix, a missing or unreadable file, and whatever its reader refuses. What the file
+    says comes back fit to be shown, in errors and remarks.
     """
+    from raygrid.host.scene_files import reading
+
     check_name(path)
     path = Path(path)
-    if os.path.isdir(path):
-        raise SceneError(f"{path}: the scene is a directory, wanted a file of one of: {' '.join(READERS)}")
-    reader = READERS.get(path.suffix.lower())
-    if reader is None:
-        came = f"the suffix {path.suffix!r}" if path.suffix else "no suffix"
-        raise SceneError(f"{path}: the file has {came}, wanted one of: {' '.join(READERS)}")
-    module, function = reader
-    scene: Scene = getattr(import_module(f"raygrid.host.{module}"), function)(path)
-    return scene
+    module, function = READERS[path.suffix.lower()]
+    with reading(path, allow_outside or _allowed.get(), remedy) as whole:
+        try:
+            scene: Scene = getattr(import_module(f"raygrid.host.{module}"), function)(path)
+        except SceneError as error:
+            error.args = (printable(str(error)),)
+            raise
+    return _shown(scene) if whole else scene
+
+
+def _shown(scene: Scene) -> Scene:
+    """The scene with its name and its remarks fit to be shown, each remark once, and not too many."""
+    remarks = list(dict.fromkeys(map(printable, scene.remarks)))
+    if len(remarks) > MOST_REMARKS:
+        remarks[MOST_REMARKS:] = [f"and {len(remarks) - MOST_REMARKS} remarks more"]
+    return replace(scene, name=printable(scene.name), remarks=tuple(remarks))

@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 
 from raygrid.host.scene import Scene
-from raygrid.host.scene_builder import SceneBuilder, read_bytes, shown
+from raygrid.host.scene_builder import SceneBuilder, shown
+from raygrid.host.scene_files import read_bytes
 from raygrid.host.scene_finish import Y_UP, Z_UP, finish_scene
 from raygrid.host.scene_mtl import GREY, WHITE
 from raygrid.host.textures import bake

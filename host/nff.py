@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 
 from raygrid.host.cameras import Camera, nff_camera
 from raygrid.host.scene import Scene
-from raygrid.host.scene_builder import SceneBuilder, colour, material, plural, read_bytes
+from raygrid.host.scene_builder import SceneBuilder, colour, material, plural
+from raygrid.host.scene_files import read_bytes
 from raygrid.host.scene_finish import UNLIT
 from raygrid.host.scene_lights import Table, light_table, point_light
 from raygrid.host.scene_nff_words import GRAMMAR, NAMES, Words

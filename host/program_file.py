@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 from pathlib import Path
 
-from raygrid.host.scene_builder import read_bytes
+from raygrid.host.scene_files import read_bytes
 from raygrid.node.errors import ProtocolError, SceneError
 from raygrid.node.programs import Compiled, Program, make_program, program_order
 

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from raygrid.host.clean_text import printable
+
 if TYPE_CHECKING:
     from raygrid.emulator.driver import Progress
     from raygrid.host.steady import Fault
@@ -59,7 +61,7 @@ class Talk:
         self._begun = time.monotonic()
         if self._bar is not None:
             self._bar.remove_task(self._task)  # a task once given a total cannot be without one again
-            self._task = self._bar.add_task(what, total=total, detail="")
+            self._task = self._bar.add_task(printable(what), total=total, detail="")
             self._bar.refresh()  # now, or a short phase would never be seen
 
     def part(self, done: float, detail: str) -> None:
@@ -91,6 +93,7 @@ class Talk:
     def _print(self, text: str) -> None:
         if self._quiet:
             return
+        text = printable(text)
         if self._bar is not None:
             self._bar.console.print(text, highlight=False, markup=False, soft_wrap=True)
         else:

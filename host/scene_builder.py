@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,6 @@ from raygrid.host.scene_polygons import (
     select_polygons,
     triangulate,
 )
-from raygrid.host.sources import look_at, recording
 from raygrid.node.errors import SceneError
 from raygrid.node.frame import MATERIAL
 from raygrid.node.surfaces import F64, MAX_MATERIALS, MAX_SURFACES, STRIDE, AnyKind, Batch, Kind, SurfaceSet, merge
@@ -33,23 +31,6 @@ MAX_COORDINATE = 1e30
 MOST_BENT = 2.0**-19
 # Of polygons that will move and grow, by this part of their own extent: that may come to 4 in machine coordinates.
 MOST_BENT_MOVING = 2.0**-21
-
-
-def read_bytes(path: Path) -> bytes:
-    """The contents of a file; raises SceneError if there is none, or if it cannot be read."""
-    sources = recording()
-    look = look_at(path) if sources is not None else None
-    try:
-        data = path.read_bytes()
-        if sources is not None:
-            sources.note(path, look, data)
-        return data
-    except FileNotFoundError:
-        if sources is not None:
-            sources.note(path, None, None)
-        raise SceneError(f"{path}: there is no such file") from None
-    except OSError as error:
-        raise SceneError(f"{path}: the file cannot be read ({error.strerror or error})") from None
 
 
 def plural(count: int, noun: str) -> str:

@@ -17,7 +17,8 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.host.scene_builder import read_bytes, shown
+from raygrid.host.scene_builder import shown
+from raygrid.host.scene_files import read_bytes
 from raygrid.node.errors import SceneError
 from raygrid.node.surfaces import F64
 

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from raygrid.host.scene_builder import Table, material, read_bytes, shown
+from raygrid.host.scene_builder import Table, material, shown
+from raygrid.host.scene_files import find_bytes
 from raygrid.host.textures import Texture, read_picture
 from raygrid.node.errors import SceneError
 from raygrid.node.surfaces import F64
@@ -30,17 +31,21 @@ class Mtl:
     texture: Texture | None = None
 
 
-def read_mtl(path: Path, remarks: list[str]) -> dict[bytes, Mtl]:
-    """The materials of a file by name. A missing texture is a remark; raises SceneError for numbers that are none."""
+def read_mtl(path: Path, data: bytes, remarks: list[str]) -> dict[bytes, Mtl]:
+    """The materials of a file by name; `data` is what is in it.
+
+    A missing texture is a remark; raises SceneError for numbers that are none.
+    """
     found: dict[bytes, Mtl] = {}
     name, values, picture = b"", dict[bytes, F64](), None
-    lines = read_bytes(path).replace(b"\r", b"\n").split(b"\n")
+    known: dict[bytes, Texture | None] = {}  # pictures, which several materials may share
+    lines = data.replace(b"\r", b"\n").split(b"\n")
     for line in [*lines, b"newmtl"]:
         key, *rest = line.split(b"#")[0].split() or (b"",)
         key = key.lower()
         if key == b"newmtl":
             if name:
-                found[name] = Mtl(mtl_material(values), _texture(path, picture, remarks))
+                found[name] = Mtl(mtl_material(values), _texture(path, picture, remarks, known))
             name, values, picture = b" ".join(rest), {}, None
         elif key == b"map_kd" and rest:
             picture = rest
@@ -95,13 +100,36 @@ def _numbers(path: Path, key: bytes, words: list[bytes]) -> F64:
     return numbers
 
 
-def _texture(path: Path, words: list[bytes] | None, remarks: list[str]) -> Texture | None:
+def _texture(
+    path: Path, words: list[bytes] | None, remarks: list[str], known: dict[bytes, Texture | None]
+) -> Texture | None:
     if words is None:
         return None
     # Options come before the name; then only the last word can be told from them.
-    name = (words[-1] if words[0].startswith(b"-") else b" ".join(words)).decode("utf-8", "surrogateescape")
-    file = path.parent / name.replace("\\", "/")
-    if not file.is_file():
-        remarks.append(f"the texture {shown(name)} is missing: plain colour used")
-        return None
-    return Texture(read_picture(read_bytes(file), str(file)))
+    name = words[-1] if words[0].startswith(b"-") else b" ".join(words)
+    if name not in known:
+        file, data = find_named(path, name.replace(b"\\", b"/"))
+        if data is None:
+            remarks.append(f"the texture {shown(as_text(name))} is missing: plain colour used")
+        known[name] = None if data is None else Texture(read_picture(data, str(file)))
+    return known[name]
+
+
+def find_named(beside: Path, name: bytes) -> tuple[Path, bytes | None]:
+    """The file of a name in an OBJ or MTL, and what is in it, None if there is none.
+
+    These formats say not how their names are encoded: what is no UTF-8 is looked for as its bytes are, then as Latin-1,
+    which is what programs wrote when file systems had it, too.
+    """
+    file = beside.parent / name.decode("utf-8", "surrogateescape")
+    data = find_bytes(file)
+    other = beside.parent / as_text(name)
+    return (file, data) if data is not None or other == file else (other, find_bytes(other))
+
+
+def as_text(name: bytes) -> str:
+    """A name out of an OBJ or MTL, for messages."""
+    try:
+        return name.decode("utf-8")
+    except UnicodeDecodeError:
+        return name.decode("latin-1")

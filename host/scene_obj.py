@@ -20,8 +20,9 @@ from pathlib import Path
 
 import numpy as np
 
-from raygrid.host.scene_builder import MAX_COORDINATE, SceneBuilder, plural, read_bytes, shown
-from raygrid.host.scene_mtl import GREY, WHITE, Mtl, read_mtl
+from raygrid.host.scene_builder import MAX_COORDINATE, SceneBuilder, plural, shown
+from raygrid.host.scene_files import read_bytes
+from raygrid.host.scene_mtl import GREY, WHITE, Mtl, as_text, find_named, read_mtl
 from raygrid.host.scene_polygons import Ints, triangulate
 from raygrid.host.textures import Bytes, as_bytes, bake
 from raygrid.node.errors import SceneError
@@ -168,7 +169,7 @@ class ObjReader:
                 continue
             mtl = library.get(name)
             if mtl is None and name:
-                missing.append(name.decode("utf-8", "replace"))
+                missing.append(as_text(name))
             tints = self._tints(mtl, used[mine], colours)
             row = mtl.row if mtl is not None else GREY if tints is None else WHITE
             rows, index = (row, np.zeros(1, np.int64)) if tints is None else bake(row, tints)
@@ -190,14 +191,15 @@ class ObjReader:
     def _library(self, builder: SceneBuilder) -> dict[bytes, Mtl]:
         library: dict[bytes, Mtl] = {}
         for names in self.libraries:
-            whole = self.path.parent / names.decode("utf-8", "surrogateescape")
-            files = (
-                [whole] if whole.is_file() else [self.path.parent / n.decode("utf-8", "replace") for n in names.split()]
-            )
-            for file in files:
-                if file.is_file():
-                    library.update(read_mtl(file, builder.remarks))
-                else:
+            several = names.split()
+            files = [names] if len(several) < 2 else [names, *several]  # a name with blanks, else several names
+            for name in files if names else ():
+                file, data = find_named(self.path, name)
+                if data is not None:
+                    library.update(read_mtl(file, data, builder.remarks))
+                    if name is names:
+                        break
+                elif name is not names or len(files) == 1:
                     builder.remarks.append(f"the material file {file.name} is missing: grey used")
         return library
 

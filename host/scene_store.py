@@ -92,10 +92,13 @@ def _version() -> str:
 
 
 class SceneStore:
-    """The scenes used last, for an array of one shape. For use by one thread."""
+    """The scenes used last, for an array of one shape. For use by one thread.
 
-    def __init__(self, shape: Shape) -> None:
-        self._shape = shape
+    allow_outside  whether scenes may refer to files outside their folders
+    """
+
+    def __init__(self, shape: Shape, allow_outside: bool = False) -> None:
+        self._shape, self._allow_outside = shape, allow_outside
         self._scenes: OrderedDict[str, tuple[Sources, Scene]] = OrderedDict()
         self._ready: OrderedDict[Wanted, tuple[Scene, Ready]] = OrderedDict()
         self._shots: OrderedDict[Wanted, _Shot] = OrderedDict()
@@ -105,7 +108,7 @@ class SceneStore:
         kept = self._scenes.pop(path, None)
         if kept is None or kept[0].changed():
             with recorded() as sources:
-                scene = load_scene(path)
+                scene = load_scene(path, self._allow_outside, "raygrid up --allow-outside")
             kept = sources, scene
         _keep(self._scenes, path, kept)
         return kept

@@ -22,7 +22,8 @@ from raygrid.host.cameras import DEFAULT_FOV, Camera, orthographic_camera, persp
 from raygrid.host.load import load_scene
 from raygrid.host.rig import Rig, keyed
 from raygrid.host.scene import Scene
-from raygrid.host.scene_builder import SceneBuilder, material, read_bytes, shown
+from raygrid.host.scene_builder import SceneBuilder, material, shown
+from raygrid.host.scene_files import read_bytes
 from raygrid.host.scene_finish import NO_CAMERA, NO_LIGHT, UNLIT, finish_scene
 from raygrid.host.scene_lights import Table, directional_light, light_table, point_light, spot_light
 from raygrid.host.scene_mtl import GREY

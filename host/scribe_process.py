@@ -39,8 +39,8 @@ if TYPE_CHECKING:
 class Work:
     """What the service may call."""
 
-    def __init__(self, shape: tuple[int, int, int], journal: Path) -> None:
-        self._store, self._journal = SceneStore(shape), journal
+    def __init__(self, shape: tuple[int, int, int], journal: Path, outside: bool) -> None:
+        self._store, self._journal = SceneStore(shape, outside), journal
 
     def begin(self, request: Submit, frame: int | None, programs: bool) -> Begun:
         """Read the scene, make a frame of it ready, and look at where its files go. Raises RaygridError."""
@@ -167,6 +167,7 @@ def main() -> None:
     parser.add_argument("parent", type=int)
     parser.add_argument("journal", type=Path)
     parser.add_argument("shape", nargs=3, type=int)
+    parser.add_argument("--outside", action="store_true")
     given = parser.parse_args()
     end_with_parent(given.parent, signal.SIGKILL)  # it may be held up by a file, and would not hear of it
     signal.pthread_sigmask(signal.SIG_SETMASK, set())
@@ -175,7 +176,7 @@ def main() -> None:
     nx, ny, nz = given.shape
     with socket.socket(fileno=given.socket) as door, contextlib.suppress(BrokenPipeError, ConnectionResetError):
         os.set_inheritable(door.fileno(), False)
-        _serve(door, Work((nx, ny, nz), given.journal))
+        _serve(door, Work((nx, ny, nz), given.journal, given.outside))
     sys.stderr.flush()
     os._exit(0)
 

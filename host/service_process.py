@@ -29,6 +29,7 @@ def main() -> None:
     parser.add_argument("--batch", type=int, required=True)
     parser.add_argument("--patience", type=float, required=True)
     parser.add_argument("--programs", action="store_true")
+    parser.add_argument("--outside", action="store_true")
     given = parser.parse_args()
     signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)  # until there is somebody who cleans up
     tell = os.fdopen(os.dup(1), "wb")
@@ -38,7 +39,8 @@ def main() -> None:
         home.begin_log()
         os.chdir("/")
         nx, ny, nz = given.array
-        options = Options((nx, ny, nz), given.batch, given.patience, home.directory / JOURNAL, given.programs)
+        journal = home.directory / JOURNAL
+        options = Options((nx, ny, nz), given.batch, given.patience, journal, given.programs, given.outside)
         with Place.create((1, 1, 1)) as place:
             code = asyncio.run(_serve(home, options, place, tell))
         home.close()

@@ -8,6 +8,7 @@ Textures and vertex colours are sRGB; materials are linear.
 from __future__ import annotations
 
 import io
+import warnings
 from dataclasses import dataclass
 from enum import Enum
 
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.host.scene_builder import Table
+from raygrid.host.scene_files import take_texels
 from raygrid.node.errors import SceneError
 from raygrid.node.surfaces import F64
 
@@ -22,6 +24,9 @@ Bytes = NDArray[np.uint8]
 Ints = NDArray[np.int64]
 
 BITS = 5  # of each primary
+MOST_TEXELS = 1 << 26  # of one texture, 8192 x 8192
+# What Pillow reads by itself. Others it hands to programs of the computer (EPS to Ghostscript), where a scene has no place.
+FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "TGA", "BMP", "GIF", "PPM", "DDS", "SGI", "PCX", "PSD", "JPEG2000")
 
 
 class Wrap(Enum):
@@ -54,14 +59,35 @@ class Texture:
 
 
 def read_picture(data: bytes, where: str) -> Bytes:
-    """Decode PNG, JPEG or whatever else Pillow knows: uint8 (h, w, 3). Raises SceneError, `where` names the picture."""
+    """Decode a picture of one of FORMATS: uint8 (h, w, 3). Raises SceneError, `where` names the picture.
+
+    How large it is is looked at before it is decoded: a few kilobytes of PNG can be gigabytes of texels.
+    """
     from PIL import Image  # only files with textures pay for it
 
     try:
-        with Image.open(io.BytesIO(data)) as picture:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # MOST_TEXELS is less
+            picture = Image.open(io.BytesIO(data), formats=FORMATS)
+        with picture:
+            take_texels(picture.width * picture.height, MOST_TEXELS, where)
             return np.asarray(picture.convert("RGB"))
+    except SceneError:
+        raise
+    except Image.DecompressionBombError as error:  # Pillow's own limit, far above
+        raise SceneError(
+            f"{where}: the texture is too large ({error}), wanted at most {MOST_TEXELS:,} texels"
+        ) from None
     except Exception as error:  # Pillow's decoders raise nearly anything on damaged data
-        raise SceneError(f"{where}: the texture cannot be read ({error})") from None
+        raise SceneError(f"{where}: the texture cannot be read ({_told(error)})") from None
+
+
+def _told(error: Exception) -> str:
+    from PIL import UnidentifiedImageError
+
+    if isinstance(error, UnidentifiedImageError):
+        return f"it is of no format known, wanted one of: {' '.join(FORMATS)}"
+    return str(error)
 
 
 def bake(row: Table, colours: Bytes, tints: tuple[str, ...] = ("diffuse",)) -> tuple[Table, Ints]:

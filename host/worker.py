@@ -72,13 +72,14 @@ class Event(NamedTuple):
 @dataclass
 class Options:
     """Of the array: processors on each axis, most packets a message, seconds until it is taken to hang, its journal,
-    and whether it takes programs."""
+    whether it takes programs, and whether scenes may refer to files outside their folders."""
 
     shape: tuple[int, int, int]
     batch: int = 4096
     patience: float = 30.0
     journal: Path = field(default_factory=Path)
     programs: bool = False
+    outside: bool = False
 
 
 class Worker(threading.Thread):
@@ -108,7 +109,8 @@ class Worker(threading.Thread):
             ),
         )
         self.keeper.on_sample = lambda sample: post(Event("sample", None, {"sample": sample}))
-        self._scribe = Scribe([str(options.journal), *map(str, options.shape)], self._look)
+        arguments = [str(options.journal), *map(str, options.shape), *["--outside"] * options.outside]
+        self._scribe = Scribe(arguments, self._look)
 
     # --- what the service says; callable from its thread ----------------------------------------------
 

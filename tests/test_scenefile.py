@@ -1,6 +1,7 @@
 """The scene file: every table and key, placement of other files, and errors with line and key."""
 
 import math
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -265,10 +266,11 @@ def test_moving_round_surfaces():
     assert np.allclose(cone, [[0, 2, 1, 6, -2, 0, 1, 2]])
 
 
-def test_the_example_in_the_docs(read):
+def test_the_example_in_the_docs(read, tmp_path):
     docs = (Path(__file__).parents[1] / "docs" / "scenes.md").read_text()
     example = docs.partition("```toml\n")[2].partition("```")[0]
-    (checker := Path(__file__).parents[1] / "scenes" / "checker.obj").read_text()
-    scene = read(example.replace('"checker.obj"', f'"{checker}"'))
+    for name in ("checker.obj", "checker.mtl"):
+        shutil.copy(Path(__file__).parents[1] / "scenes" / name, tmp_path)
+    scene = read(example)
     assert len(scene.surfaces) > 4
     assert scene.remarks == ()

@@ -8,7 +8,7 @@ import pytest
 from support_render import SCENES
 
 from raygrid.host.load import load_scene
-from raygrid.host.scene_builder import read_bytes
+from raygrid.host.scene_files import read_bytes
 from raygrid.host.sources import recorded, recording
 from raygrid.node.errors import SceneError
 
