@@ -22,6 +22,7 @@ import click
 
 from raygrid.host import cli_inspect, cli_machine, cli_service
 from raygrid.host.cli_types import Fault, Frames, Number, Pair, Shape, debug_option, outside_option
+from raygrid.host.streams import open_closed_streams
 
 DEBUG = "RAYGRID_DEBUG"
 # Of what a command imports nearly all stays: looking it through for cycles as often as by default takes a sixth of the time.
@@ -342,6 +343,8 @@ def _say(line: str) -> None:
 
 def main(argv: list[str] | None = None) -> None:
     """Run a command. Always ends by SystemExit; as a program (no argv) it has ended then, with all files written."""
+    if argv is None:
+        open_closed_streams()
     arguments = sys.argv[1:] if argv is None else argv
     if "--debug" in arguments:
         os.environ[DEBUG] = "1"  # the nodes look for it, too

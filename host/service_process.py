@@ -13,6 +13,7 @@ from typing import Any
 from raygrid.emulator.places import Place
 from raygrid.host.service import ENDING, Service
 from raygrid.host.service_files import JOURNAL, Home
+from raygrid.host.streams import open_closed_streams
 from raygrid.host.worker import Options
 from raygrid.node.errors import RaygridError
 
@@ -23,6 +24,7 @@ async def _serve(home: Home, options: Options, place: Place, tell: Any) -> int:
 
 def main() -> None:
     """The whole life of a service. Tells `raygrid up` by lines of JSON on standard output how its start goes."""
+    open_closed_streams()
     parser = argparse.ArgumentParser(prog="python -m raygrid.host.service_process")
     parser.add_argument("name")
     parser.add_argument("--array", nargs=3, type=int, required=True, metavar=("NX", "NY", "NZ"))

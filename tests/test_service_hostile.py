@@ -208,4 +208,4 @@ def test_a_small_frame_of_a_higher_priority_does_not_wait_for_a_large_one(name, 
     (row,) = array.jobs(0)
     assert (row["job"], row["state"], row["done"]) == (large.job, "running", 0)
     watch_until(array, large.job, "progress", phase="trace")  # begun again
-    one_line(on(name, "submit", TINY, "--priority", "101"), 2, r"raygrid: .*priority.*101.*")
+    one_line(on(name, "submit", TINY, "--priority", "101"), 2, r"raygrid submit: --priority: .101. came, wanted .*")
