@@ -40,6 +40,7 @@ STATES = {  # of a process, by the kernel's letter; none: there is no such proce
     "Z": "dead",
     "X": "dead",
     "": "dead",
+    "?": "not to be seen",
 }
 TOUCH_SECONDS = 3600.0  # cleaners remove what is days old
 UNSIGNED_AGE = 60.0  # seconds; a directory without a pid file may be one that is just being made
@@ -189,12 +190,15 @@ def process_mark(pid: int) -> str | None:
 
 
 def process_state(pid: int) -> str:
-    """The state of a process as the kernel's letter: R, S, D, T, t or Z; "" if there is no such process."""
+    """The state of a process as the kernel's letter: R, S, D, T, t or Z; "" if there is no such process, "?" if that cannot
+    be seen, as without descriptors."""
     try:
         with open(f"/proc/{pid}/stat", "rb") as file:
             return file.read().rpartition(b")")[2].split()[0].decode()
-    except (OSError, IndexError):
+    except (FileNotFoundError, ProcessLookupError, IndexError):
         return ""
+    except OSError:
+        return "?"
 
 
 def _namespace() -> str:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from raygrid.emulator.places import Place, process_mark
 from raygrid.host.clean_text import printable
-from raygrid.host.service_files import Home, Record
+from raygrid.host.service_files import Home, LockTaken, Record
 from raygrid.host.told import told
 from raygrid.host.worker import Event, Options, Task, Worker
 from raygrid.node.errors import ArrayError
@@ -119,11 +119,11 @@ class Service:
             await asyncio.sleep(LOOK_SECONDS)
             try:
                 self._home.keep()
-            except ArrayError as error:  # another service has the lock: it has our journal, and the jobs in it
+            except LockTaken as error:  # by another service: it has our journal, and the jobs in it
                 self.note_fault(f"{error}; this one ends", None)
                 self.end()
                 return
-            except OSError as error:
+            except (OSError, ArrayError) as error:
                 print(f"the state directory cannot be made anew: {error}", file=sys.stderr, flush=True)
             try:
                 await self._keep_door()

@@ -33,6 +33,10 @@ SOCKET, TOKEN = "service", "token"
 LONGEST_FILE = 1 << 16  # bytes of a record or a token
 
 
+class LockTaken(ArrayError):
+    """Another service has the state directory."""
+
+
 @dataclass(frozen=True)
 class Record:
     """Where a service is.
@@ -142,7 +146,7 @@ def take_lock(directory: Path) -> int:
             record = read_record(directory)
             pid = f" (process {record.pid})" if record is not None and record.alive else ""
             name = directory.name
-            raise ArrayError(f"the array {name!r} runs already{pid}: raygrid down --name {name} ends it") from None
+            raise LockTaken(f"the array {name!r} runs already{pid}: raygrid down --name {name} ends it") from None
         if _is_at(descriptor, directory / LOCK):
             return descriptor
         os.close(descriptor)  # it was removed meanwhile: whoever comes next would lock another file
@@ -186,7 +190,8 @@ class Home:
         os.close(log)
 
     def keep(self) -> None:
-        """See to it that directory, lock and log are there. Raises ArrayError if another service has the lock now."""
+        """See to it that directory, lock and log are there. Raises LockTaken if another service has the lock now, other
+        ArrayErrors if they cannot be made."""
         if not _is_at(self._lock, self.directory / LOCK):
             make_state_directory(self.name)
             fresh = take_lock(self.directory)
