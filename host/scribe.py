@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from raygrid.emulator.launch import ONE_THREAD, SIGNALS
+from raygrid.emulator.places import process_state
 from raygrid.host.outputs import PART
 from raygrid.host.pickled import Shared, pack, receiving
 from raygrid.node.errors import RaygridError
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from raygrid.host.scene_store import Ready
 
 LOOK_SECONDS = 0.05  # between two looks at whether a call is still wanted
+STOPPED_SECONDS = 0.75  # a process that is stopped (SIGSTOP) for longer than this is lost, as a node is
 END_SECONDS = 0.5  # for the kernel to end what was killed; what a file system holds up ends when that lets it go
 SHARED = (SurfaceSet, Groups)  # an array goes on by increments only from the very same ones
 
@@ -173,14 +175,25 @@ class Scribe:
             return end.value
 
     def _wait(self, event: int) -> None:
-        """Until the socket is ready, with looks in between. Raises what `look` raises."""
+        """Until the socket is ready, with looks in between; a process that is stopped meanwhile is killed.
+
+        Raises what `look` raises.
+        """
         assert self._socket is not None
+        assert self._process is not None
+        stopped: float | None = None
         poller = select.poll()
         poller.register(self._socket, event)
         while True:
             self._look()
             if poller.poll(LOOK_SECONDS * 1000):
                 return
+            if process_state(self._process.pid) != "stopped":
+                stopped = None
+            elif stopped is None:
+                stopped = time.monotonic()
+            elif time.monotonic() - stopped >= STOPPED_SECONDS:
+                self._process.kill()  # it closes its socket by that, and is told of as any that ended
 
     def _how_it_ended(self) -> str:
         """How the process that has closed its socket ended; it is gone afterwards."""
