@@ -188,7 +188,7 @@ class Scribe:
             self._look()
             if poller.poll(LOOK_SECONDS * 1000):
                 return
-            if process_state(self._process.pid) != "stopped":
+            if process_state(self._process.pid) not in ("T", "t"):
                 stopped = None
             elif stopped is None:
                 stopped = time.monotonic()
