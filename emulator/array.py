@@ -44,7 +44,9 @@ END_SECONDS = 5.0
 FAULT_PATIENCE = 3.0  # seconds: with faults on purpose a message that never comes is the likely reason of silence
 LOOK_SECONDS = 0.25  # how often the states of silent processes are looked at
 LISTEN_SECONDS = 0.05  # how often lines are listened to while probes are on
-STOPPED_SECONDS = 0.75  # a node that is stopped (SIGSTOP) for longer than this is lost
+STOPPED_SECONDS = (
+    0.75  # a process that is stopped (SIGSTOP), or dead without a word of it, for longer than this is lost
+)
 FAULTS = (LostProcess, Stuck, ProtocolError)
 
 
@@ -103,7 +105,7 @@ class Array:
         self._begun = self._closing = False
         self._lost: RaygridError | None = None
         self._looked = self._heard = 0.0
-        self._stopped_since: dict[Index, float] = {}
+        self._lame_since: dict[tuple[tuple[int, ...], int], float] = {}  # (index, pid) of what does not run
 
     @classmethod
     def launch(cls, shape: Index, **options: Any) -> Array:
@@ -170,14 +172,15 @@ class Array:
         """The reset line: whatever the array's state, after this it is empty, in a new epoch, and ready.
 
         Nodes that live drop all they hold and open new links; those that are dead, stopped or do not answer within
-        a second are forked anew. If the nodes cannot be brought to work together, or the nursery is gone, the whole
-        array is launched anew. Raises ArrayError and its kinds, or ProtocolError, if that fails as well.
+        a second are forked anew. If the nodes cannot be brought to work together, or the nursery is gone or stopped, the
+        whole array is launched anew. Raises ArrayError and its kinds, or ProtocolError, if that fails as well.
         """
         if self._closing or not self._begun:
             raise ArrayError("the array cannot be reset: it was not launched, or it was closed")
         self.lost_nodes = []
         try:
-            if self._crew is not None and self._nursery is not None and self._nursery.alive:
+            there = self._place is not None and self._place.keep()  # or no link could be made in it
+            if there and self._crew is not None and self._nursery is not None and self._nursery.serving:
                 with contextlib.suppress(*FAULTS):
                     self._begin_epochs()
                     return
@@ -199,7 +202,7 @@ class Array:
                 self._begin_epoch()
                 return
             except FAULTS:
-                if left == 0 or self._nursery is None or not self._nursery.alive:
+                if left == 0 or self._nursery is None or not self._nursery.serving:
                     raise
             except (OSError, zmq.ZMQError) as error:
                 raise ArrayError(f"the links of the array cannot be opened: {error.strerror}") from error
@@ -221,7 +224,7 @@ class Array:
         self._hang_up()
         self._poller = poller = zmq.Poller()
         self._lost = None
-        self._stopped_since.clear()
+        self._lame_since.clear()
         first = not self._crew.pids
         self.epoch = (self.epoch + 1) & LAST_EPOCH  # after the last one nodes refuse the first, and are forked anew
         machine = os.urandom(8).hex()
@@ -283,10 +286,11 @@ class Array:
     def check(self) -> None:
         """Look after an array that nobody waits for: take in what has come, and look at the processes.
 
-        Raises LostProcess, naming the node, if one ended or is stopped, ProtocolError if one gave up its links.
+        Raises LostProcess, naming the node, if one ended or is stopped, or the nursery is; ProtocolError if one gave up its
+        links.
         """
         self._pump(0.0)
-        self._look()
+        self._look(idle=True)
 
     def _pump(self, seconds: float) -> None:
         """Wait for messages of corners and events of processes, and take them in."""
@@ -308,7 +312,7 @@ class Array:
             for link in self.driver.links.values():
                 if link.choked:
                     link.push()
-            if not found:
+            if not found and seconds > 0.0:
                 self._look()
         except FAULTS as error:
             self._lost = error  # and say so again, until the reset
@@ -345,17 +349,24 @@ class Array:
             return
         self._on_sample(sample)
 
-    def _look(self) -> None:
-        """Look for stopped nodes, now and then: they send nothing and do not end."""
+    def _look(self, idle: bool = False) -> None:
+        """Look, now and then, for nodes that are stopped, which send nothing and do not end, and for dead ones of which the
+        nursery does not tell; `idle`: for a nursery that is stopped, too, which a frame can do without. Raises LostProcess.
+        """
         now = time.monotonic()
         if now - self._looked < LOOK_SECONDS:
             return
         self._looked = now
-        stopped = {node.index: node for node in self.nodes() if node.state == "stopped"}
-        self._stopped_since = {index: self._stopped_since.get(index, now) for index in stopped}
-        for index, since in self._stopped_since.items():
+        if self._place is not None:
+            self._place.keep()
+        lame = {(node.index, node.pid): node for node in self.nodes() if node.state in ("stopped", "dead")}
+        said = {key: f"node {_name(node.index)} (pid {node.pid}) is {node.state}" for key, node in lame.items()}
+        if idle and self._nursery is not None and self._nursery.stopped:
+            said[(), self._nursery.pid] = f"the nursery (process {self._nursery.pid}) is stopped"
+        self._lame_since = {key: self._lame_since.get(key, now) for key in said}
+        for key, since in self._lame_since.items():
             if now - since >= STOPPED_SECONDS:
-                self._lost = LostProcess(f"node {_name(index)} (pid {stopped[index].pid}) is stopped")
+                self._lost = LostProcess(said[key])
                 raise self._lost
 
     def _why_silent(self) -> str:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from raygrid.node.errors import LostProcess
 
-from .launch import Ended, Nursery
+from .launch import LOOK_SECONDS, Ended, Nursery
 from .lines import Lines, Words
 from .nursery import LAST_WAIT
 from .places import STATES, Index, process_state
@@ -86,6 +86,7 @@ class Crew:
             self._await(lambda: silent <= self.dead, LAST_WAIT)
             if not silent <= self.dead:
                 index = min(silent - self.dead)
+                self.nursery.deaf = True  # or the kernel would have ended them, and it said so
                 raise LostProcess(f"node {_name(index)} (pid {self.pids[index]}) does not end when it is killed")
             self.lost = [event for event in self.lost if event.index not in silent]
         missing = {index: config for index, config in configs.items() if index in self.dead or index not in self.pids}
@@ -121,8 +122,8 @@ class Crew:
 
     def _await(self, done: Callable[[], bool], seconds: float) -> None:
         deadline = time.monotonic() + seconds
-        while not done() and (left := deadline - time.monotonic()) > 0:
-            self._wait(left)
+        while not done() and not self.nursery.stopped and (left := deadline - time.monotonic()) > 0:
+            self._wait(min(left, LOOK_SECONDS))
             self.hear()
 
     def _wait(self, seconds: float) -> None:

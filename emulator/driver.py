@@ -169,6 +169,21 @@ class Driver:
                     + (f"; {why}" if why else "")
                 )
 
+    def settle(self, patience: float) -> None:
+        """Let the nodes drop what a pass or load has left under way that was given up.
+
+        patience  seconds without any message after which they are taken to hang
+        Raises Stuck, and what goes wrong besides; an array that is reset then has nothing under way either.
+        """
+        before, self.patience = self.patience, min(self.patience, patience)
+        try:
+            if not self._answered:
+                self._wait(lambda: self._answer is not None, "the order before came back")
+                self._answered = True
+            self._settle()
+        finally:
+            self.patience = before
+
     def _settle(self) -> None:
         """Drop what an unfinished pass or load has left under way, so that nothing of it comes into the next one.
 

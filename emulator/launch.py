@@ -30,9 +30,11 @@ from raygrid.node.errors import ArrayError, LostProcess
 
 from .control import Control, Message, close_all
 from .nursery import LAST_WAIT, open_pidfd
-from .places import Index
+from .places import Index, process_state
 from .stderr_words import StderrWords
 
+LOOK_SECONDS = 0.25  # between two looks at whether it runs, while something is expected of it
+STOPPED_SECONDS = 0.75  # after which one that is stopped is not waited for any longer
 SIGNALS = {number.value: number.name for number in signal.Signals}
 # One thread a process: a fork copies only one, and the array itself is the parallelism.
 ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -89,13 +91,14 @@ class Nursery:
 
     pid     its process id, which is also its session and process group
     warm    whether nodes can be launched
+    deaf    whether it does not do what it is told; for the caller to say
     """
 
     def __init__(
         self, process: subprocess.Popen[bytes], control: socket.socket, stderr: int, on_warming: OnWarming | None
     ) -> None:
         self.pid = process.pid
-        self.warm = False
+        self.warm = self.deaf = False
         self._process = process
         self._control = Control(control)
         self._stderr = StderrWords(stderr)
@@ -165,6 +168,16 @@ class Nursery:
     def alive(self) -> bool:
         """Whether the nursery was serving when last heard of."""
         return not (self._dead or self._ended)
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the process is stopped (SIGSTOP) at this moment: it forks nothing, and tells of nobody's end."""
+        return not self._ended and process_state(self.pid) == "T"
+
+    @property
+    def serving(self) -> bool:
+        """Whether it can be asked to fork and kill nodes."""
+        return self.alive and not self.deaf and not self.stopped
 
     @property
     def pids(self) -> dict[int, Index]:
@@ -250,12 +263,17 @@ class Nursery:
 
     def _wait(self, done: Callable[[], bool], timeout: float | None, what: str) -> None:
         deadline = time.monotonic() + (math.inf if timeout is None else timeout)
+        ran = time.monotonic()
         while not done():
             self._check_alive()
-            left = deadline - time.monotonic()
-            if left <= 0:
+            now = time.monotonic()
+            if deadline <= now:
                 raise ArrayError(f"the nursery (process {self.pid}) did not {what} within {timeout:g} seconds")
-            self._attend(left)
+            if not self.stopped:
+                ran = now
+            elif now - ran > STOPPED_SECONDS:
+                raise LostProcess(f"the nursery (process {self.pid}) is stopped, and was to {what}")
+            self._attend(min(deadline - now, LOOK_SECONDS))
 
     def _check_alive(self) -> None:
         if self._ended:
@@ -357,7 +375,7 @@ class Nursery:
             self._control.send({"do": "end"})
             if not self.warm:
                 self._kill(signal.SIGTERM)  # it is busy compiling, and does not listen
-            self._wait_gone(timeout)
+            self._wait_gone(0.0 if self.stopped or self.deaf else timeout)
         finally:  # also after a second Ctrl-C
             self._kill(signal.SIGKILL, group=True)
             self._wait_gone(LAST_WAIT)

@@ -243,9 +243,9 @@ def open_pidfd(pid: int) -> int | None:
         return None
 
 
-def end_with_parent(parent: int) -> None:
-    """Ask the kernel for SIGTERM when the parent ends, and end now if it has ended already."""
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGTERM), 0, 0, 0)
+def end_with_parent(parent: int, number: int = signal.SIGTERM) -> None:
+    """Ask the kernel for a signal when the parent ends, and end now if it has ended already."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(number), 0, 0, 0)
     if os.getppid() != parent:
         os._exit(1)
 

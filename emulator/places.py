@@ -40,7 +40,9 @@ STATES = {  # of a process, by the kernel's letter; none: there is no such proce
     "Z": "dead",
     "X": "dead",
     "": "dead",
+    "?": "not to be seen",
 }
+TOUCH_SECONDS = 3600.0  # cleaners remove what is days old
 UNSIGNED_AGE = 60.0  # seconds; a directory without a pid file may be one that is just being made
 
 
@@ -75,6 +77,8 @@ class Place:
     def __init__(self, path: str) -> None:
         self.path = path
         self._owner = os.getpid()
+        self._inode = os.lstat(path).st_ino
+        self._touched = time.monotonic()
         atexit.register(self.remove)
 
     @classmethod
@@ -115,6 +119,24 @@ class Place:
                 if dash and number.isdigit() and int(number) < epoch:
                     with suppress(OSError):
                         os.unlink(entry.path)
+
+    def keep(self) -> bool:
+        """Keep the directory from cleaners of temporary files, which go by age, and from other front ends, which go by its
+        sign; whether it is still there. To be called now and then. Never raises OSError."""
+        try:
+            if os.lstat(self.path).st_ino != self._inode:
+                return False
+            if not os.path.lexists(os.path.join(self.path, PID_FILE)):
+                _sign(self.path)
+        except OSError:
+            return False
+        if time.monotonic() - self._touched > TOUCH_SECONDS:
+            self._touched = time.monotonic()
+            with suppress(OSError), os.scandir(self.path) as entries:
+                for path in (self.path, *(entry.path for entry in entries)):
+                    with suppress(OSError):
+                        os.utime(path, follow_symlinks=False)
+        return True
 
     def remove(self) -> None:
         """Remove the directory; does nothing if it is gone, or in a fork of the process that made it."""
@@ -168,12 +190,15 @@ def process_mark(pid: int) -> str | None:
 
 
 def process_state(pid: int) -> str:
-    """The state of a process as the kernel's letter: R, S, D, T, t or Z; "" if there is no such process."""
+    """The state of a process as the kernel's letter: R, S, D, T, t or Z; "" if there is no such process, "?" if that cannot
+    be seen, as without descriptors."""
     try:
         with open(f"/proc/{pid}/stat", "rb") as file:
             return file.read().rpartition(b")")[2].split()[0].decode()
-    except (OSError, IndexError):
+    except (FileNotFoundError, ProcessLookupError, IndexError):
         return ""
+    except OSError:
+        return "?"
 
 
 def _namespace() -> str:
@@ -252,16 +277,21 @@ def _fresh_name() -> str:
 def _make(base: str) -> str:
     """Make and sign a fresh directory in `base`. Raises OSError."""
     path = os.path.join(base, _fresh_name())
-    mark = process_mark(os.getpid())
-    if mark is None:
-        raise OSError("/proc does not show this process")
     os.mkdir(path, 0o700)  # fails if anything has that name, a dangling link too
     try:
         os.chmod(path, 0o700)  # a strange umask may have taken our own rights away
-        with open(os.path.join(path, PID_FILE), "x", encoding="ascii") as file:
-            os.chmod(file.fileno(), 0o600)
-            file.write(f"{mark}\n")
+        _sign(path)
     except BaseException:
         remove(path)
         raise
     return path
+
+
+def _sign(directory: str) -> None:
+    """Say in a directory whose it is. Raises OSError."""
+    mark = process_mark(os.getpid())
+    if mark is None:
+        raise OSError("/proc does not show this process")
+    with open(os.path.join(directory, PID_FILE), "x", encoding="ascii") as file:
+        os.chmod(file.fileno(), 0o600)
+        file.write(f"{mark}\n")

@@ -28,6 +28,7 @@ Examples:
   raygrid submit scenes/room.glb -o room.png
   raygrid submit scenes/mobile.toml --frames 1-48 -o out/m_%04d.png --resume
   raygrid submit scenes/glass.toml --turntable 72 --name film --detach
+  raygrid submit scenes/glass.toml --size 64x64 --priority 10
 
 Ctrl-C cancels the job. If this command is killed, or its terminal closed, the job goes on: raygrid jobs shows it.
 """
@@ -137,6 +138,8 @@ def up(**options: Any) -> None:
                    "[default: the scene's name with .png, or with _%04d.png, here]")
 @click.option("--stats", type=FileName(), metavar="FILE", help="As for render; %04d as for -o.")
 @click.option("--resume", is_flag=True, help="Skip frames whose files are there, whole, and of just this job.")
+@click.option("--priority", type=Number(-100, 100), default=0, show_default=True, metavar="N",
+              help="Frames of jobs with a higher one go first.")
 @click.option("--detach", is_flag=True, help="Print the number of the job and return at once.")
 @click.option("--json", "as_json", is_flag=True, help="Print a line of JSON for each event.")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors.")

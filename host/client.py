@@ -37,6 +37,7 @@ from raygrid.node.errors import ArrayError, ProtocolError
 ANSWER_SECONDS = 20.0  # a service that lives answers at once
 RESET_SECONDS = 150.0
 QUIET_SECONDS = 30.0  # without any news of a job, after which the service is asked whether it lives
+ENDED = ("done", "failed", "cancelled")
 SETTINGS = ("size", "samples", "depth", "min_weight", "highlights", "split")
 
 Watch = Callable[[dict[str, Any]], None]
@@ -201,6 +202,7 @@ class Service:
         turntable: int | None = None,
         turn_scene: bool = False,
         program: Name | None = None,
+        priority: int = 0,
         **settings: Any,
     ) -> Submitted:
         """Queue a job and return at once. Paths may be relative to the current directory.
@@ -213,6 +215,7 @@ class Service:
         client    in whose turn it is rendered; None: this connection's own
         turntable  so many frames make a shot of a still scene: the camera goes once round; `turn_scene`: the scene turns
         program   path of a program for the nodes, for an array that was launched to take it
+        priority  -100 to 100: frames of higher ones go first, and one that runs is given up for them if it would take long
         settings  size, samples, depth, min_weight, highlights, split; see `raygrid.host.job.Settings`
         Raises TypeError for another setting, ArrayError for what the service refuses.
         """
@@ -234,6 +237,7 @@ class Service:
             "client": self._client if client is None else client,
             "turntable": None if turntable is None else {"frames": turntable, "scene": turn_scene},
             "program": None if program is None else os.path.abspath(program),
+            "priority": priority,
         }
         if budget is not None:
             request["budget"] = budget
@@ -245,7 +249,7 @@ class Service:
         Raises ArrayError if it failed or was cancelled, if there is no such job, and if the array ends.
         """
         facts = self._connection.ask({"do": "follow", "job": job})
-        end = {**facts, "what": "end"} if facts["state"] in ("done", "failed", "cancelled") else None
+        end = {**facts, "what": "end"} if facts["state"] in ENDED else None
         while end is None:
             event = self._connection.next_event(job)
             if event["job"] != job:
@@ -267,7 +271,13 @@ class Service:
 
     def jobs(self, ended: int = 10) -> list[dict[str, Any]]:
         """The last `ended` jobs that have ended, and all that have not, each oldest first."""
-        return list(self._connection.ask({"do": "jobs", "ended": ended})["jobs"])
+        found: dict[int, dict[str, Any]] = {}
+        left, last = 1, 0
+        while left > 0:  # there may be more than a message has room for
+            answer = self._connection.ask({"do": "jobs", "ended": ended, "after": last})
+            found |= {facts["job"]: facts for facts in answer["jobs"]}
+            left, last = answer["left"], max(found, default=0)
+        return sorted(found.values(), key=lambda facts: (facts["state"] not in ENDED, facts["job"]))
 
     def status(self) -> dict[str, Any]:
         """How the array is: nodes, load, queue, frames, faults (docs/service.md)."""

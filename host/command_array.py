@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from raygrid.host.clean_text import printable
 from raygrid.host.client import Connection, connect, wait_gone
 from raygrid.host.outputs import write_result
 from raygrid.host.service_files import Record, find
@@ -47,8 +48,7 @@ def _status_lines(facts: Facts) -> list[str]:
         lines.append(f"links: served by Python alone, which is slower ({facts['links']['why']})")
     refused = ", ".join(f"{count} {why}" for why, count in facts["refused"].items() if count)
     lines.append(f"clients: {facts['clients']}; refused: {refused or 'none'}")
-    if facts["journal"]["trouble"]:
-        lines.append(f"journal: {facts['journal']['trouble']}")
+    lines += [f"journal: {words}" for words in (facts["journal"]["trouble"], *facts["journal"]["remarks"]) if words]
     rows = [("node", "pid", "state", "load", "memory")]
     for node in facts["nodes"][:NODES_SHOWN]:
         busy = "-" if node["load"] is None else f"{100 * node['load']:.0f} %"
@@ -75,14 +75,21 @@ def run_jobs(name: str, ended: int, as_json: bool) -> None:
     if as_json:
         write_result(json.dumps(jobs, indent=2))
         return
-    rows = [("job", "state", "frames", "done", "scene", "outputs")]
-    for job in jobs:
-        frames = "-" if job["first"] is None else f"{job['first']}-{job['last']}"
-        done = f"{job['done']}/{job['frames']}"
-        scene = Path(job["scene"]).name
-        words = f"  ({job['error']})" if job["error"] else ""
-        rows.append((str(job["job"]), job["state"], frames, done, scene, " ".join(job["outputs"]) + words))
-    write_result("\n".join(_table(rows)) if jobs else "no jobs")
+    rows = [("job", "state", "frames", "done", "submitted", "waited", "took", "priority", "client", "scene", "outputs")]
+    write_result("\n".join(_table(rows + [_job_row(job, time.time()) for job in jobs])) if jobs else "no jobs")
+
+
+def _job_row(job: Facts, now: float) -> tuple[str, ...]:
+    """A job as a row: how long it waited for its first frame, and took from then on, until now or its end."""
+    begun, ended = job["begun"], job["ended"]
+    waited = _span(max(0.0, (begun or ended or now) - job["submitted"]))
+    took = "-" if begun is None else _span(max(0.0, (ended or now) - begun))
+    frames = "-" if job["first"] is None else f"{job['first']}-{job['last']}"
+    words = f"  ({job['error']})" if job["error"] else ""
+    texts = [Path(job["scene"]).name, " ".join(job["outputs"]) + words]
+    times = time.strftime("%m-%d %H:%M:%S", time.localtime(job["submitted"])), waited, took
+    how = frames, f"{job['done']}/{job['frames']}", *times, str(job["priority"]), printable(job["client"])
+    return (str(job["job"]), job["state"], *how, *map(printable, texts))
 
 
 def run_cancel(name: str, jobs: list[int] | None) -> None:

@@ -42,6 +42,7 @@ class Order:
     settings: Facts
     turntable: Turntable | None = None
     program: str | None = None
+    priority: int = 0
 
 
 def run_submit(order: Order) -> None:
@@ -118,6 +119,7 @@ def _request(order: Order, outputs: tuple[str, ...]) -> Facts:
         "client": order.client,
         "turntable": None if turn is None else {"frames": turn.frames, "scene": turn.turn_scene},
         "program": None if order.program is None else os.path.abspath(order.program),
+        "priority": order.priority,
         "follow": not order.detach,
     }
 

@@ -59,6 +59,8 @@ def run_up(launch: Launch) -> None:
     if ready["unfinished"] and not launch.quiet:
         count = ready["unfinished"]
         Talk(False).remark(f"{count} {'job goes' if count == 1 else 'jobs go'} on: raygrid jobs --name {launch.name}")
+    for remark in ready["remarks"]:
+        Talk(False).remark(remark)
     if not launch.quiet and sys.stderr.isatty():
         others = ", ".join(other.name for other in running() if other.name != launch.name)
         Talk(False).say(f"ready in {seconds:.2f} s of wall time" + (f"; also up: {others}" if others else ""))

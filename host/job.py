@@ -59,6 +59,8 @@ class Job:
 
     moves   of a frame of a shot, where its groups are; surfaces in groups are at rest then
     number  of that frame
+    add_missed  adds to the sums what a program's background says of rays that never enter the world box; None: this
+            process runs the program
     """
 
     scene: Scene
@@ -69,6 +71,7 @@ class Job:
     settings: Settings
     moves: Moves | None = None
     number: int | None = None
+    add_missed: Callable[[Job, NDArray[np.int64]], None] | None = None
 
     @property
     def pixels(self) -> int:

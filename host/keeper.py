@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from raygrid.emulator.array import Array
+from raygrid.emulator.crew import RESET_SECONDS, RESET_SECONDS_A_NODE
 from raygrid.node.errors import ArrayError, ProtocolError, RaygridError, TooLarge
 
 if TYPE_CHECKING:
@@ -48,6 +49,7 @@ class Keeper:
         self.rate = self._rate = 0.0  # wanted, and told to the array
         self.on_sample: Callable[[Sample], object] | None = None
         self._spoilt = False  # and must be reset before the next frame
+        self._given_up = False  # nodes may still be at work on a frame that nobody waits for
 
     def launch(self) -> None:
         """Launch the array. Raises NoArray."""
@@ -97,6 +99,8 @@ class Keeper:
         try:
             self._set_rate()
             self._array.check()
+            if self._given_up:
+                self._settle()
         except (ArrayError, ProtocolError) as error:
             begun = time.perf_counter()
             self.reset()
@@ -104,7 +108,7 @@ class Keeper:
 
     def reset(self) -> None:
         """Empty the array, whatever its state. Raises NoArray if that cannot be."""
-        self._holds, self._spoilt = "", False
+        self._holds, self._spoilt, self._given_up = "", False, False
         if self._array is None:
             self.launch()
             return
@@ -119,6 +123,8 @@ class Keeper:
             self.reset()
         elif self._array is None:
             self.launch()
+        elif self._given_up:
+            self._settle()
         assert self._array is not None
         epoch = self._array.epoch
         self._array.on_wait = self._wait
@@ -130,7 +136,23 @@ class Keeper:
             # The driver drops what is left of a frame that was given up; only a reset that was given up must be repeated.
             failed = isinstance(error, ArrayError | ProtocolError) and not isinstance(error, TooLarge)
             self._spoilt = failed or self._array.epoch != epoch
+            self._given_up = not isinstance(error, RaygridError)
             raise
+        finally:
+            if self._array is not None:
+                self._array.on_wait = None
+
+    def _settle(self) -> None:
+        """Let the nodes drop a frame that was given up, or reset them if they do not: one may run a program that never
+        ends. Raises NoArray, and what `on_wait` raises."""
+        assert self._array is not None
+        self._array.on_wait = self._on_wait
+        try:
+            self._array.driver.settle(_settle_seconds(self.shape))
+            self._given_up = False
+        except (ArrayError, ProtocolError):
+            self._array.on_wait = None
+            self.reset()
         finally:
             if self._array is not None:
                 self._array.on_wait = None
@@ -173,8 +195,17 @@ class Keeper:
     def close(self) -> None:
         """End the array. May be called twice."""
         array, self._array = self._array, None
-        self._holds, self._spoilt = "", False
+        given_up = self._given_up
+        self._holds, self._spoilt, self._given_up = "", False, False
         if array is not None:
             array.on_wait = None
+            if given_up:  # then it may not say goodbye either
+                with contextlib.suppress(RaygridError):
+                    array.driver.patience = _settle_seconds(self.shape)
             with contextlib.suppress(RaygridError):
                 array.close()
+
+
+def _settle_seconds(shape: Shape) -> float:
+    """How long nodes may say nothing while they drop a frame; as long as a reset waits for them."""
+    return RESET_SECONDS + RESET_SECONDS_A_NODE * shape[0] * shape[1] * shape[2]

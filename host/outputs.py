@@ -23,6 +23,7 @@ class Format(NamedTuple):
 
 
 SUMS = ".npy"  # the exact sums, no picture
+PART = ".raygrid-"  # how the names of files begin that are not whole yet
 JPEG = Format("JPEG", 65_500, {"quality": 95, "subsampling": 0})
 FORMATS = {
     ".png": Format("PNG", 1 << 31, {}),
@@ -98,7 +99,7 @@ def write_whole(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
             with open(target, "wb") as file:
                 write(file)
             return
-        part = os.path.join(os.path.dirname(target), f".raygrid-{os.urandom(6).hex()}")
+        part = os.path.join(os.path.dirname(target), f"{PART}{os.urandom(6).hex()}")
         try:
             with open(part, "xb") as file:
                 write(file)

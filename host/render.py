@@ -143,6 +143,9 @@ def add_misses(job: Job, sums: NDArray[np.int64], samples: Samples) -> None:
     _check_missing(job, samples)
     program = job.settings.program
     if program is not None and "background" in program.hooks:
+        if job.add_missed is not None:
+            job.add_missed(job, sums)
+            return
         from raygrid.host.program_file import for_host
 
         for_host(program).add_missed(frame, job.space.step, sums)

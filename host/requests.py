@@ -6,7 +6,7 @@ docs/service.md describes each request and its answer.
 from __future__ import annotations
 
 import os
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -20,14 +20,15 @@ from pydantic import (
 )
 
 from raygrid.host.frames import LAST_FRAME, MOST_FRAMES, Turntable, check_pattern
-from raygrid.host.job import Settings
-from raygrid.host.program_file import read_program
-from raygrid.host.scene_store import Wanted
-from raygrid.host.shot import MAX_FRAMES
 from raygrid.host.wire import Message
 from raygrid.node.errors import OutputError, ProtocolError
 
+if TYPE_CHECKING:
+    from raygrid.host.scene_store import Wanted
+
 LONGEST_PATH = 4096
+MAX_FRAMES = 1_000_000  # of a turntable (`raygrid.host.shot`)
+MOST_PRIORITY = 100
 
 
 def _absolute(path: str) -> str:
@@ -74,6 +75,7 @@ class Submit(Strictly):
     client   whose turn it is in: clients are served in turn
     turntable  makes a shot of a still scene
     program  file of a program that the nodes are to run
+    priority  frames of higher ones go first
     follow   tell of it until it has ended, as Follow does
     """
 
@@ -89,6 +91,7 @@ class Submit(Strictly):
     client: Annotated[str, Field(max_length=64)] = ""
     turntable: TurntableOf | None = None
     program: Path | None = None
+    priority: Annotated[int, Field(ge=-MOST_PRIORITY, le=MOST_PRIORITY)] = 0
     follow: bool = Field(default=False, exclude=True)
 
     @model_validator(mode="after")
@@ -106,6 +109,10 @@ class Submit(Strictly):
 
     def wanted(self) -> Wanted:
         """What is to be read and made ready, as the front end has it. Raises SceneError for a program that is none."""
+        from raygrid.host.job import Settings
+        from raygrid.host.program_file import read_program
+        from raygrid.host.scene_store import Wanted
+
         program = None if self.program is None else read_program(self.program)
         turn = None if self.turntable is None else Turntable(self.turntable.frames, self.turntable.scene)
         return Wanted(self.scene, Settings(**dict(self.settings), program=program), turn, self.frames)
@@ -126,10 +133,11 @@ class Cancel(Strictly):
 
 
 class Jobs(Strictly):
-    """List jobs: those that have not ended, and the last `ended` of those that have."""
+    """List jobs: those that have not ended, and the last `ended` of those that have. `after`: only higher numbers."""
 
     do: Literal["jobs"]
     ended: Annotated[int, Field(ge=0, le=10_000)] = 10
+    after: Annotated[int, Field(ge=0, le=(1 << 53))] = 0
 
 
 class Status(Strictly):

@@ -14,91 +14,135 @@ import signal
 import sys
 import time
 from collections import Counter, deque
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from raygrid.emulator.places import Place, process_mark
-from raygrid.host.service_files import (
-    RECORD,
-    Record,
-    write_record,
-)
+from raygrid.host.clean_text import printable
+from raygrid.host.service_files import Home, LockTaken, Record
+from raygrid.host.told import told
 from raygrid.host.worker import Event, Options, Task, Worker
 from raygrid.node.errors import ArrayError
-from raygrid.node.native import why_python
 
 if TYPE_CHECKING:
-    from raygrid.host.requests import Cancel, Down, Follow, Probe, Request, Submit
-    from raygrid.host.requests import Jobs as JobsRequest
     from raygrid.host.schedule import Entry
-    from raygrid.host.service_door import Client
     from raygrid.host.wire import Message
 
 END_SECONDS = 30.0  # for the array to end; then its processes see that the service is gone
 SAMPLE_SECONDS = 2.0
+LOOK_SECONDS = 1.0  # between two looks at whether lock, record, journal and door are still there
+SHORT_SECONDS = 2.0  # a frame that will be done sooner than this is not given up for another one
+ENDS_TASK = ("done", "failed", "interrupted")
 FAULTS_KEPT = 20
-RESET_SECONDS = 120.0
 ENDING = {signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
 
 
 class Service:
-    """One array that stays, its jobs and its clients."""
+    """One array that stays, its jobs and its clients.
 
-    def __init__(self, name: str, options: Options, place: Place, tell: Any) -> None:
-        from raygrid.host.journal import Journal
+    state, why   launching, ready, broken and why, ending; `finishing`: takes no more jobs and ends after the last
+    task, entry  the frame that is with the array, and its job; None: none
+    now          how far it is: phase, part, in_flight
+    counts       frames done, skipped, failed; resets
+    faults       the last ones; `fault_count`: how many there were
+    resets       who waits for a reset
+    """
+
+    def __init__(self, home: Home, options: Options, place: Place, tell: Any) -> None:
+        from raygrid.host.journal_repair import open_journal
         from raygrid.host.node_samples import Samples
+        from raygrid.host.service_answers import Answers
         from raygrid.host.service_door import Door
         from raygrid.host.service_jobs import Jobs
 
-        self._name, self._options, self._place, self._tell = name, options, place, tell
-        self._directory = options.journal.parent
+        self.name, self.options, self._tell = home.name, options, tell
+        self._home, self._place = home, place
         self._loop = asyncio.get_running_loop()
-        self._worker = Worker(options, self._post)
-        self._worker.start()  # first of all: the nursery warms up while the rest is made ready
-        self._jobs = Jobs(Journal(options.journal))
-        self._door = Door(place.path, self._answer)
-        self._samples = Samples()
-        self._state, self._why = "launching", ""
-        self._task: Task | None = None
-        self._entry: Entry | None = None
-        self._now: dict[str, Any] = {}
+        self.worker = Worker(options, self._post)
+        self.worker.start()  # first of all: the nursery warms up while the rest is made ready
+        self.jobs = Jobs(*open_journal(options.journal), home.keep)
+        self.door = Door(place.path, Answers(self).answer)
+        self.samples = Samples()
+        self.state, self.why = "launching", ""
+        self.task: Task | None = None
+        self.entry: Entry | None = None
+        self.now: dict[str, Any] = {}
         self._serial = 0
-        self._started = time.time()
-        self._counts: Counter[str] = Counter(dict.fromkeys(("done", "skipped", "failed", "resets"), 0))
-        self._faults: deque[dict[str, Any]] = deque(maxlen=FAULTS_KEPT)
-        self._fault_count = 0
-        self._resets: list[asyncio.Future[None]] = []
-        self._finishing = False
+        self._given = 0.0  # when the task was given to the array
+        self._yielded = 0  # serial of the last task that was given up for a higher priority
+        self.started = time.time()
+        self.counts: Counter[str] = Counter(dict.fromkeys(("done", "skipped", "failed", "resets"), 0))
+        self.faults: deque[dict[str, Any]] = deque(maxlen=FAULTS_KEPT)
+        self.fault_count = 0
+        self.resets: list[asyncio.Future[None]] = []
+        self.finishing = False
         self._over = asyncio.Event()
         self._launched = False
+        self._record: Record | None = None
 
     async def run(self) -> int:
         """Serve until told to end; returns the exit code."""
         for number in ENDING:
-            self._loop.add_signal_handler(number, self._end)
+            self._loop.add_signal_handler(number, self.end)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
-        sampling = asyncio.create_task(self._sample())
         try:
-            await self._door.open()
+            await self.door.open()
+        except BaseException:
+            await self._close()
+            raise
+        tasks = [asyncio.create_task(self._sample()), asyncio.create_task(self._look_after())]
+        try:
             await self._over.wait()
         finally:
-            sampling.cancel()
+            for task in tasks:
+                task.cancel()
             await self._close()
         return 0 if self._launched else 1
 
     async def _close(self) -> None:
-        with contextlib.suppress(OSError):
-            (self._directory / RECORD).unlink(missing_ok=True)
-        for entry in list(self._jobs.schedule.entries.values()):
+        self._home.forget(self._record)
+        for entry in list(self.jobs.schedule.entries.values()):
             words = "the array was taken down; the job goes on when it is up again"
-            self._tell_followers(entry.job, {"what": "end", "state": "queued", "error": words})
-        self._jobs.close()
-        await self._door.close()
+            self.tell_followers(entry.job, {"what": "end", "state": "queued", "error": words})
+        self.jobs.close()
+        await self.door.close()
+        self._place.remove()
 
     async def _sample(self) -> None:
         while True:
-            self._samples.take(self._worker.keeper.pids)
+            self.samples.take(self.worker.keeper.pids)
             await asyncio.sleep(SAMPLE_SECONDS)
+
+    async def _look_after(self) -> None:
+        """Make anew what somebody has removed that takes all to be litter: directory, lock, record, journal, door."""
+        while True:
+            await asyncio.sleep(LOOK_SECONDS)
+            try:
+                self._home.keep()
+            except LockTaken as error:  # by another service: it has our journal, and the jobs in it
+                self.note_fault(f"{error}; this one ends", None)
+                self.end()
+                return
+            except (OSError, ArrayError) as error:
+                print(f"the state directory cannot be made anew: {error}", file=sys.stderr, flush=True)
+            try:
+                await self._keep_door()
+                if self._record is not None:
+                    self._home.keep_record(self._record)
+            except (OSError, ArrayError) as error:
+                print(f"the door cannot be made anew: {error}", file=sys.stderr, flush=True)
+            self.jobs.look_after()
+
+    async def _keep_door(self) -> None:
+        """Let clients come, wherever that can be. Raises OSError, ArrayError."""
+        there = self._place.keep()
+        if there and self.door.is_sound():
+            return
+        if not there:
+            self._place = Place.create((1, 1, 1))
+        await self.door.open(self._place.path)
+        if self._record is not None:
+            self._record = replace(self._record, directory=self._place.path)
 
     # --- events of the array --------------------------------------------------------------------------
 
@@ -108,139 +152,164 @@ class Service:
             self._loop.call_soon_threadsafe(self._hear, event)
 
     def _hear(self, event: Event) -> None:
-        getattr(self, f"_hear_{event.kind}")(event)
+        """Take in an event. Whatever goes wrong with it, the array goes on with what is next."""
+        try:
+            getattr(self, f"_hear_{event.kind}")(event)
+        except Exception as error:
+            self.note_fault(told(error), event.task)
+        finally:
+            if event.kind in ENDS_TASK:
+                self.next()
 
     def _hear_warming(self, event: Event) -> None:
         self._report({"is": "warming", **event.facts})
 
     def _hear_ready(self, event: Event) -> None:
-        if self._state == "ending":
+        if self.state == "ending":
             return
-        self._state, self._why = "ready", ""
+        self.state, self.why = "ready", ""
         if not self._launched:
             self._launched = True
             mark = process_mark(os.getpid()) or ""
-            record = Record(self._name, os.getpid(), mark, self._place.path, self._options.shape, self._started)
+            self._record = Record(self.name, os.getpid(), mark, self._place.path, self.options.shape, self.started)
             try:
-                write_record(self._directory, record)
+                self._home.keep_record(self._record)
             except OSError as error:
-                self._report({"is": "error", "error": f"{self._directory}: {error.strerror or error}"})
+                self._report({"is": "error", "error": f"{self._home.directory}: {error.strerror or error}"})
                 self._launched = False
-                self._end()
+                self.end()
                 return
-            unfinished = len(self._jobs.schedule.entries)
-            self._report({"is": "ready", "pid": os.getpid(), "nodes": event.facts["pids"], "unfinished": unfinished})
+            said = {"unfinished": len(self.jobs.schedule.entries), "remarks": list(self.jobs.remarks)}
+            self._report({"is": "ready", "pid": os.getpid(), "nodes": event.facts["pids"], **said})
             self._tell.close()
-        self._samples.take(event.facts["pids"])
-        self._next()
+        self.samples.take(event.facts["pids"])
+        self.next()
 
     def _hear_broken(self, event: Event) -> None:
-        if self._state == "ending":
+        if self.state == "ending":
             return
-        self._state, self._why = "broken", event.facts["why"]
-        self._note_fault(event.facts["why"], event.task)
+        self.state, self.why = "broken", event.facts["why"]
+        self.note_fault(event.facts["why"], event.task)
         if not self._launched:
             self._report({"is": "error", "error": event.facts["why"]})
-            self._end()
+            self.end()
 
     def _hear_begun(self, event: Event) -> None:
         assert event.task is not None
-        self._now = {"phase": "read", "part": 0.0, "in_flight": 0}
+        self.now = {"phase": "read", "part": 0.0, "in_flight": 0}
 
     def _hear_moved(self, event: Event) -> None:
         assert event.task is not None
-        self._now = event.facts
-        if self._entry is not None and not self._entry.ended:
+        self.now = event.facts
+        if self.entry is not None and not self.entry.ended:
             about = {
                 "what": "progress",
                 "frame": event.task.frame,
-                "done": self._entry.done,
-                "frames": self._entry.total,
+                "done": self.entry.done,
+                "frames": self.entry.total,
             }
-            self._tell_followers(event.task.job, {**about, **event.facts}, droppable=True)
+            self.tell_followers(event.task.job, {**about, **event.facts}, droppable=True)
 
     def _hear_note(self, event: Event) -> None:
         assert event.task is not None
-        self._tell_followers(event.task.job, {"what": "note", "text": event.facts["text"]})
+        self.tell_followers(event.task.job, {"what": "note", "text": event.facts["text"]})
 
     def _hear_fault(self, event: Event) -> None:
-        self._note_fault(event.facts["what"], event.task)
+        self.note_fault(event.facts["what"], event.task)
         if event.task is not None:
-            self._tell_followers(event.task.job, {"what": "fault", "text": event.facts["what"]})
+            self.tell_followers(event.task.job, {"what": "fault", "text": event.facts["what"]})
 
     def _hear_done(self, event: Event) -> None:
         entry, task = self._settle(event)
         facts = event.facts
-        self._counts["skipped" if facts["skipped"] else "done"] += 1
+        self.counts["skipped" if facts["skipped"] else "done"] += 1
         if not entry.ended:
             seconds = facts["seconds"].get("whole", 0.0)
-            self._jobs.frame_done(entry, facts["skipped"], seconds, facts["files"])
+            self.jobs.frame_done(entry, facts["skipped"], seconds, facts["files"])
             about = {"frame": task.frame, "files": list(facts["files"]), "skipped": facts["skipped"]}
-            self._tell_followers(entry.job, {"what": "frame", **about, "seconds": facts["seconds"]})
-            self._tell_end(entry)
-        self._next()
+            self.tell_followers(entry.job, {"what": "frame", **about, "seconds": facts["seconds"]})
+            self.tell_end(entry)
 
     def _hear_failed(self, event: Event) -> None:
         entry, task = self._settle(event)
-        self._counts["failed"] += 1
+        self.counts["failed"] += 1
         if not entry.ended:
             where = "" if task.frame is None else f"frame {task.frame}: "
-            self._jobs.fail(entry, where + event.facts["why"])
-            self._tell_end(entry)
-        self._next()
+            self.jobs.fail(entry, where + event.facts["why"])
+            self.tell_end(entry)
 
     def _hear_interrupted(self, event: Event) -> None:
         entry, _ = self._settle(event)
         if not entry.ended:
-            self._jobs.schedule.put_back(entry)
-        self._next()
+            self.jobs.schedule.put_back(entry)
 
     def _hear_reset(self, event: Event) -> None:
-        self._counts["resets"] += 1
-        for waiting in self._resets:
+        self.counts["resets"] += 1
+        for waiting in self.resets:
             if not waiting.done():
                 waiting.set_result(None)
-        self._resets.clear()
+        self.resets.clear()
 
     def _hear_sample(self, event: Event) -> None:
         told: Message | None = None
-        for client in self._door.clients:
+        for client in self.door.clients:
             if client.rate:
                 told = told or {"is": "event", "what": "sample", "sample": asdict(event.facts["sample"])}
                 client.send(told, droppable=True)
-        self._set_rate()  # a client may have left
+        self.set_rate()  # a client may have left
 
-    def _set_rate(self) -> None:
-        self._worker.keeper.rate = max((client.rate for client in self._door.clients), default=0.0)
+    def set_rate(self) -> None:
+        """Probe the array as often as the client wants that wants it most."""
+        self.worker.keeper.rate = max((client.rate for client in self.door.clients), default=0.0)
 
     def _hear_ended(self, event: Event) -> None:
         self._over.set()
 
     def _settle(self, event: Event) -> tuple[Entry, Task]:
         """The task of an event is under way no more."""
-        entry, task = self._entry, event.task
+        entry, task = self.entry, event.task
         assert entry is not None
         assert task is not None
-        self._entry = self._task = None
-        self._now = {}
+        self.entry = self.task = None
+        self.now = {}
         return entry, task
 
-    def _next(self) -> None:
-        """Give the array its next frame, if it has none and there is one."""
-        if self._task is not None or self._state != "ready":
+    def next(self) -> None:
+        """Give the array its next frame, if there is one: when it has none, or its own is to be given up for it."""
+        if self.state != "ready":
             return
-        found = self._jobs.schedule.next()
+        if self.task is not None:
+            self._yield()
+            return
+        found = self.jobs.schedule.next()
         if found is None:
-            if self._finishing:
-                self._end()
+            if self.finishing:
+                self.end()
             return
         entry, frame = found
-        request = self._jobs.request(entry.job)
+        request = self.jobs.request(entry.job)
         self._serial += 1
-        self._task = Task(self._serial, entry.job, None if request.frames is None else frame, request)
-        self._entry = entry
-        self._jobs.begun(entry)
-        self._worker.give(self._task)
+        self.task = Task(self._serial, entry.job, None if request.frames is None else frame, request)
+        self.entry, self._given = entry, time.monotonic()
+        self.jobs.begun(entry)
+        self.worker.give(self.task)
+
+    def _yield(self) -> None:
+        """Give the running frame up, to be begun again later, if a higher priority waits and it would take long."""
+        entry, task = self.entry, self.task
+        if entry is None or task is None or entry.ended or self._yielded == task.serial:
+            return
+        part = self.now.get("part", 0.0) if self.now.get("phase") in ("trace", "collect", "write") else 0.0
+        spent = time.monotonic() - self._given
+        if part and spent * (1.0 - part) / part < SHORT_SECONDS:
+            return
+        if self.jobs.schedule.should_yield(entry):
+            entry.yields += 1
+            self._yielded = task.serial
+            self.worker.interrupt(task)
+            where = "the frame" if task.frame is None else f"frame {task.frame}"
+            text = f"{where} was given up for a job of higher priority, and is begun again after it"
+            self.tell_followers(entry.job, {"what": "note", "text": text})
 
     # --- telling --------------------------------------------------------------------------------------
 
@@ -252,144 +321,38 @@ class Service:
         except ValueError:  # it has heard that the array is ready, and closed
             pass
         except OSError:
-            self._end()
+            self.end()
 
-    def _note_fault(self, what: str, task: Task | None) -> None:
-        self._fault_count += 1
+    def note_fault(self, what: str, task: Task | None) -> None:
+        """Remember a fault, and write it to the log."""
+        what = printable(what)
+        self.fault_count += 1
         where = {} if task is None else {"job": task.job, "frame": task.frame}
-        self._faults.append({"at": time.time(), "what": what, **where})
+        self.faults.append({"at": time.time(), "what": what, **where})
         print(f"{time.strftime('%Y-%m-%d %H:%M:%S')} fault: {what}", file=sys.stderr, flush=True)
 
-    def _tell_followers(self, job: int, event: Message, droppable: bool = False) -> None:
-        for client in self._door.clients:
+    def tell_followers(self, job: int, event: Message, droppable: bool = False) -> None:
+        """Tell all that follow a job of an event."""
+        for client in self.door.clients:
             if job in client.follows:
                 client.send({"is": "event", "job": job, **event}, droppable)
                 if event["what"] == "end":
                     client.follows.discard(job)
 
-    def _tell_end(self, entry: Entry) -> None:
+    def tell_end(self, entry: Entry) -> None:
+        """Tell all that follow a job that it has ended, if it has."""
         if entry.ended:
             about = {"state": str(entry.state), "error": entry.error, "done": entry.done, "skipped": entry.skipped}
-            self._tell_followers(entry.job, {"what": "end", **about, "frames": entry.total})
-
-    # --- requests -------------------------------------------------------------------------------------
-
-    async def _answer(self, client: Client, request: Request) -> Message:
-        answer: Message = await getattr(self, f"_do_{request.do}")(client, request)
-        return answer
-
-    async def _do_submit(self, client: Client, request: Submit) -> Message:
-        from raygrid.host.load import check_taken
-
-        if self._finishing or self._state == "ending":
-            raise ArrayError(f"the array {self._name!r} is being taken down, and takes no more jobs")
-        check_taken(request.program, self._options.programs)
-        entry = self._jobs.submit(request)
-        if request.follow:
-            client.follows.add(entry.job)
-        self._loop.call_soon(self._next)  # after the answer
-        return {"is": "submitted", "job": entry.job, "frames": entry.total}
-
-    async def _do_follow(self, client: Client, request: Follow) -> Message:
-        facts = self._facts(request.job)
-        if request.job in self._jobs.schedule.entries:
-            client.follows.add(request.job)
-        return {"is": "following", **facts}
-
-    def _facts(self, job: int) -> dict[str, Any]:
-        facts = self._jobs.facts(job)
-        if facts is None:
-            raise ArrayError(f"the array {self._name!r} has no job {job}")
-        return facts
-
-    async def _do_cancel(self, client: Client, request: Cancel) -> Message:
-        entries = self._jobs.schedule.entries
-        wanted = list(entries) if request.jobs is None else request.jobs
-        for job in wanted:
-            self._facts(job)  # an unknown one: none is cancelled
-        cancelled = [job for job in dict.fromkeys(wanted) if job in entries]
-        for job in cancelled:
-            self._cancel(entries[job])
-        return {"is": "cancelled", "jobs": cancelled, "ended": [job for job in wanted if job not in cancelled]}
-
-    def _cancel(self, entry: Entry) -> None:
-        self._jobs.cancel(entry)
-        if entry is self._entry and self._task is not None:
-            self._worker.interrupt(self._task)
-        self._tell_end(entry)
-
-    async def _do_jobs(self, client: Client, request: JobsRequest) -> Message:
-        return {"is": "jobs", "jobs": self._jobs.list(request.ended)}
-
-    async def _do_probe(self, client: Client, request: Probe) -> Message:
-        client.rate = request.rate
-        self._set_rate()
-        return {"is": "probing", "array": list(self._options.shape), "rate": self._worker.keeper.rate}
-
-    async def _do_reset(self, client: Client, request: Request) -> Message:
-        done = self._loop.create_future()
-        self._resets.append(done)
-        self._worker.ask_reset()
-        if self._task is not None:
-            self._worker.interrupt(self._task)
-        try:
-            async with asyncio.timeout(RESET_SECONDS):
-                await done
-        except TimeoutError:
-            raise ArrayError(f"the array was not reset within {RESET_SECONDS:g} seconds") from None
-        return {"is": "reset", "nodes": self._worker.keeper.pids}
-
-    async def _do_down(self, client: Client, request: Down) -> Message:
-        if request.cancel:
-            for entry in list(self._jobs.schedule.entries.values()):
-                self._cancel(entry)
-        left = len(self._jobs.schedule.entries)
-        if request.finish and left:
-            self._finishing = True
-        else:
-            self._loop.call_soon(self._end)
-        return {"is": "ending", "pid": os.getpid(), "unfinished": left}
-
-    async def _do_status(self, client: Client, request: Request) -> Message:
-        pids, shape = self._worker.keeper.pids, self._options.shape
-        nodes = await asyncio.to_thread(self._samples.nodes, pids, shape)
-        loads = [node["load"] for node in nodes if node["load"] is not None]
-        schedule = self._jobs.schedule
-        running = None
-        if self._task is not None and self._entry is not None:
-            running = {"job": self._task.job, "frame": self._task.frame, "scene": self._task.request.scene, **self._now}
-        return {
-            "is": "status",
-            "name": self._name,
-            "state": "finishing" if self._finishing and self._state == "ready" else self._state,
-            "why": self._why,
-            "pid": os.getpid(),
-            "started": self._started,
-            "array": list(shape),
-            "load": round(sum(loads) / len(loads), 3) if loads else None,
-            "memory": sum(node["memory"] for node in nodes),
-            "nodes": nodes,
-            "queue": {"jobs": len(schedule.entries), "frames": schedule.frames_queued},
-            "running": running,
-            "frames": {name: self._counts[name] for name in ("done", "skipped", "failed")},
-            "floods": self._worker.keeper.floods,
-            "increments": self._worker.keeper.increments,
-            "links": {"served_by": "python" if why_python() else "compiled", "why": why_python()},
-            "resets": self._counts["resets"],
-            "faults": {"count": self._fault_count, "last": list(self._faults)},
-            "clients": len(self._door.clients),
-            "refused": dict(self._door.refused),
-            "journal": {"path": str(self._options.journal), "trouble": self._jobs.trouble},
-        }
+            self.tell_followers(entry.job, {"what": "end", **about, "frames": entry.total})
 
     # --- the end --------------------------------------------------------------------------------------
 
-    def _end(self) -> None:
+    def end(self) -> None:
         """Give up the running frame, which stays in the journal, and end."""
-        if self._state == "ending":
+        if self.state == "ending":
             return
-        self._state = "ending"
-        self._worker.ask_end()
+        self.state = "ending"
+        self.worker.ask_end()
         self._loop.call_later(END_SECONDS, self._give_up)
 
     def _give_up(self) -> None:

@@ -19,8 +19,10 @@ from collections import Counter
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
+from raygrid.host.clean_text import printable
 from raygrid.host.requests import Request, read_request
 from raygrid.host.service_files import SOCKET, TOKEN, write_private
+from raygrid.host.told import told
 from raygrid.host.wire import LONGEST, LONGEST_GREETING, VERSION, Message, Splitter, pack
 from raygrid.node.errors import ProtocolError, RaygridError
 
@@ -52,7 +54,7 @@ class Client:
         unsent = transport.get_write_buffer_size()
         if self._writer.is_closing() or (droppable and unsent > CROWDED):
             return
-        self._writer.write(pack(message))
+        self._writer.write(_packed(message))
         if transport.get_write_buffer_size() > MOST_UNSENT:
             self._on_slow()
             transport.abort()
@@ -81,9 +83,17 @@ class Door:
         self.clients: set[Client] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self._server: asyncio.Server | None = None
+        self._look: tuple[int, int] | None = None  # at socket and secret when they were made
 
-    async def open(self) -> None:
-        """Let clients come. Raises OSError."""
+    async def open(self, directory: str | None = None) -> None:
+        """Let clients come, from now on in another directory if one is given; those that are in stay. Raises OSError."""
+        if directory is not None:
+            self._directory, self._path = Path(directory), str(Path(directory) / SOCKET)
+        if self._server is not None:
+            self._server.close()
+            self._server = None
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(self._path)
         write_private(self._directory / TOKEN, self._token)
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
         try:
@@ -93,6 +103,17 @@ class Door:
         except BaseException:
             listener.close()
             raise
+        self._look = self._seen()
+
+    def is_sound(self) -> bool:
+        """Whether socket and secret are still where a client looks for them."""
+        return self._look is not None and self._seen() == self._look
+
+    def _seen(self) -> tuple[int, int] | None:
+        try:
+            return os.lstat(self._path).st_ino, os.lstat(self._directory / TOKEN).st_ino
+        except OSError:
+            return None
 
     async def close(self) -> None:
         """Let nobody in any more, send what waits for those inside, and let them go."""
@@ -176,10 +197,21 @@ class Door:
         try:
             return await self._answer(client, request)
         except RaygridError as error:
-            return {"is": "error", "error": str(error)}
+            return {"is": "error", "error": printable(str(error))}
         except Exception as error:
-            traceback.print_exception(error, file=sys.stderr)
-            return {"is": "error", "error": f"a bug: {type(error).__name__}: {error} (the array's log has more)"}
+            return {"is": "error", "error": told(error)}
+
+
+def _packed(message: Message) -> bytes:
+    """A message as bytes. One that cannot be sent is nobody's end: an error goes instead of an answer, nothing instead
+    of an event."""
+    try:
+        return pack(message)
+    except (ProtocolError, ArithmeticError, TypeError, ValueError) as error:
+        traceback.print_exception(error, file=sys.stderr)
+        if message["is"] == "event":
+            return b""
+        return pack({"is": "error", "error": f"the answer cannot be sent: {printable(str(error), 300)}"})
 
 
 async def _next(splitter: Splitter, reader: asyncio.StreamReader) -> Message | None:

@@ -13,6 +13,7 @@ a private socket directory          `raygrid.emulator.places`: 0700, a fresh nam
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import json
 import os
@@ -30,6 +31,10 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,31}")
 LOCK, RECORD, JOURNAL, LOG = "lock", "service.json", "journal.sqlite", "log"
 SOCKET, TOKEN = "service", "token"
 LONGEST_FILE = 1 << 16  # bytes of a record or a token
+
+
+class LockTaken(ArrayError):
+    """Another service has the state directory."""
 
 
 @dataclass(frozen=True)
@@ -88,13 +93,24 @@ def make_state_directory(name: str) -> Path:
     directory = state_directory(name)
     for made in (directory.parent, directory):
         try:
-            made.mkdir(mode=0o700, parents=True, exist_ok=True)
+            _make_private(made)
         except OSError as error:
             raise ArrayError(
                 f"{made}: the directory for the journal cannot be made ({error.strerror or error}): set XDG_STATE_HOME"
             ) from None
         check_private(made, directory=True)
     return directory
+
+
+def _make_private(directory: Path) -> None:
+    """Make a directory, and those above it, for us alone, whatever the umask; those that are there stay as they are."""
+    missing = [path for path in (directory, *directory.parents) if not path.exists()]
+    for path in reversed(missing):
+        with contextlib.suppress(FileExistsError):  # another one of us was as quick
+            path.mkdir(mode=0o700)
+            path.chmod(0o700)  # a strange umask may have taken our own rights away
+    if not directory.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
 
 
 def check_private(path: Path | str, directory: bool) -> None:
@@ -118,18 +134,91 @@ def _kind(mode: int) -> str:
 
 def take_lock(directory: Path) -> int:
     """Lock a state directory for this process; the descriptor holds it. Raises ArrayError if another one has it."""
+    while True:
+        try:
+            descriptor = os.open(directory / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+        except OSError as error:
+            raise ArrayError(f"{directory / LOCK}: the lock cannot be made ({error.strerror or error})") from None
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(descriptor)
+            record = read_record(directory)
+            pid = f" (process {record.pid})" if record is not None and record.alive else ""
+            name = directory.name
+            raise LockTaken(f"the array {name!r} runs already{pid}: raygrid down --name {name} ends it") from None
+        if _is_at(descriptor, directory / LOCK):
+            return descriptor
+        os.close(descriptor)  # it was removed meanwhile: whoever comes next would lock another file
+
+
+def _is_at(descriptor: int, path: Path) -> bool:
+    """Whether the file at a path is the one that is open."""
     try:
-        descriptor = os.open(directory / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
-    except OSError as error:
-        raise ArrayError(f"{directory / LOCK}: the lock cannot be made ({error.strerror or error})") from None
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return os.path.samestat(os.fstat(descriptor), os.lstat(path))
     except OSError:
-        os.close(descriptor)
-        record = read_record(directory)
-        pid = f" (process {record.pid})" if record is not None and record.alive else ""
-        raise ArrayError(f"the array {directory.name!r} runs already{pid}: raygrid down ends it") from None
-    return descriptor
+        return False
+
+
+class Home:
+    """The state directory of a service that runs, and its lock. What somebody removes of it is made anew.
+
+    name       of the array
+    directory  its state directory
+    """
+
+    def __init__(self, name: str) -> None:
+        """Make the directory unless it is there, and lock it. Raises ArrayError if another service has it."""
+        self.name, self.directory = name, make_state_directory(name)
+        self._lock = take_lock(self.directory)
+        self._logs = False
+
+    def begin_log(self) -> None:
+        """Standard output and error go to the log from now on; the log of the time before is kept as one older.
+
+        Raises OSError."""
+        with contextlib.suppress(FileNotFoundError):
+            os.replace(self.directory / LOG, self.directory / f"{LOG}.1")
+        self._open_log()
+        self._logs = True
+
+    def _open_log(self) -> None:
+        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC | os.O_NOFOLLOW
+        log = os.open(self.directory / LOG, flags, 0o600)
+        os.dup2(log, 1)
+        os.dup2(log, 2)
+        os.close(log)
+
+    def keep(self) -> None:
+        """See to it that directory, lock and log are there. Raises LockTaken if another service has the lock now, other
+        ArrayErrors if they cannot be made."""
+        if not _is_at(self._lock, self.directory / LOCK):
+            make_state_directory(self.name)
+            fresh = take_lock(self.directory)
+            os.close(self._lock)
+            self._lock = fresh
+        if self._logs and not os.path.lexists(self.directory / LOG):
+            with contextlib.suppress(OSError):
+                self._open_log()
+
+    def keep_record(self, record: Record) -> None:
+        """See to it that it can be found where the service is. Raises OSError."""
+        try:
+            found = read_record(self.directory)
+        except ArrayError:
+            found = None
+        if found != record:
+            write_record(self.directory, record)
+
+    def forget(self, record: Record | None) -> None:
+        """Remove the record, unless it is another service's. Never raises OSError."""
+        with contextlib.suppress(OSError, ArrayError):
+            if record is None or read_record(self.directory) == record:
+                (self.directory / RECORD).unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Give the directory up."""
+        os.close(self._lock)
 
 
 def write_private(path: Path, text: str) -> None:

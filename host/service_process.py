@@ -8,22 +8,23 @@ import contextlib
 import json
 import os
 import signal
-from pathlib import Path
 from typing import Any
 
 from raygrid.emulator.places import Place
 from raygrid.host.service import ENDING, Service
-from raygrid.host.service_files import JOURNAL, LOG, make_state_directory, take_lock
+from raygrid.host.service_files import JOURNAL, Home
+from raygrid.host.standard_streams import ready_streams
 from raygrid.host.worker import Options
 from raygrid.node.errors import RaygridError
 
 
-async def _serve(name: str, options: Options, place: Place, tell: Any) -> int:
-    return await Service(name, options, place, tell).run()
+async def _serve(home: Home, options: Options, place: Place, tell: Any) -> int:
+    return await Service(home, options, place, tell).run()
 
 
 def main() -> None:
     """The whole life of a service. Tells `raygrid up` by lines of JSON on standard output how its start goes."""
+    ready_streams()
     parser = argparse.ArgumentParser(prog="python -m raygrid.host.service_process")
     parser.add_argument("name")
     parser.add_argument("--array", nargs=3, type=int, required=True, metavar=("NX", "NY", "NZ"))
@@ -36,30 +37,20 @@ def main() -> None:
     tell = os.fdopen(os.dup(1), "wb")
     code = 1
     try:
-        directory = make_state_directory(given.name)
-        lock = take_lock(directory)
-        _keep_log(directory)
+        home = Home(given.name)
+        home.begin_log()
         os.chdir("/")
         nx, ny, nz = given.array
-        options = Options((nx, ny, nz), given.batch, given.patience, directory / JOURNAL, given.programs, given.outside)
+        journal = home.directory / JOURNAL
+        options = Options((nx, ny, nz), given.batch, given.patience, journal, given.programs, given.outside)
         with Place.create((1, 1, 1)) as place:
-            code = asyncio.run(_serve(given.name, options, place, tell))
-        os.close(lock)
+            code = asyncio.run(_serve(home, options, place, tell))
+        home.close()
     except (RaygridError, OSError) as error:
         with contextlib.suppress(OSError, ValueError):
             tell.write((json.dumps({"is": "error", "error": str(error)}) + "\n").encode())
             tell.flush()
     os._exit(code)  # a thread that hangs in the array would keep us; its processes see that we are gone
-
-
-def _keep_log(directory: Path) -> None:
-    """Standard output and error go to the log from now on; the log of the time before is kept as one older."""
-    with contextlib.suppress(FileNotFoundError):
-        os.replace(directory / LOG, directory / f"{LOG}.1")
-    log = os.open(directory / LOG, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
-    os.dup2(log, 1)
-    os.dup2(log, 2)
-    os.close(log)
 
 
 if __name__ == "__main__":

@@ -5,28 +5,27 @@ The service hands it tasks and interrupts it; it answers by events, each handed 
 
 from __future__ import annotations
 
-import contextlib
-import errno
 import queue
-import sys
 import threading
 import time
-import traceback
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from raygrid.host.frames import path_of
+from raygrid.host.clean_text import printable
 from raygrid.host.keeper import Keeper, NoArray
-from raygrid.node.errors import RaygridError
+from raygrid.host.scribe import Begun, Finished, Scribe
+from raygrid.host.told import told
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from raygrid.emulator.driver import Progress
-    from raygrid.host.journal import Journal
-    from raygrid.host.picture import Picture
+    from raygrid.host.job import Job
     from raygrid.host.requests import Submit
-    from raygrid.host.scene_store import Ready, SceneStore
+    from raygrid.host.scene_store import Ready
 
 LAUNCH_SECONDS = 5.0  # between two attempts to launch an array that could not be
 LOOK_SECONDS = 0.25  # between two looks at an array that has nothing to do
@@ -110,8 +109,8 @@ class Worker(threading.Thread):
             ),
         )
         self.keeper.on_sample = lambda sample: post(Event("sample", None, {"sample": sample}))
-        self._store: SceneStore | None = None
-        self._journal: Journal | None = None
+        arguments = [str(options.journal), *map(str, options.shape), *["--outside"] * options.outside]
+        self._scribe = Scribe(arguments, self._look)
 
     # --- what the service says; callable from its thread ----------------------------------------------
 
@@ -141,23 +140,19 @@ class Worker(threading.Thread):
                 self._serve()
         finally:
             self._ending = False  # or the array could not say goodbye
+            self._scribe.close()
             self.keeper.close()
-            if self._journal is not None:
-                self._journal.close()
             self._post(Event("ended"))
 
     def _launch(self) -> bool:
         try:
+            self._scribe.start()
             self.keeper.launch()
-            from raygrid.host.journal import Journal
-            from raygrid.host.scene_store import SceneStore
-
-            self._store = SceneStore(self._options.shape, self._options.outside)
-            self._journal = Journal(self._options.journal)
+            self._scribe.tell("warm")
         except Interrupted:
             return False
         except Exception as error:
-            self._post(Event("broken", None, {"why": _told(error)}))
+            self._post(Event("broken", None, {"why": told(error)}))
             return False
         self._post(Event("ready", None, {"pids": self.keeper.pids}))
         return True
@@ -182,7 +177,7 @@ class Worker(threading.Thread):
         except Interrupted:
             return False
         except Exception as error:
-            self._post(Event("broken", None, {"why": _told(error)}))
+            self._post(Event("broken", None, {"why": told(error)}))
             return False
         if self.keeper.pids not in ([], pids):
             self._post(Event("ready", None, {"pids": self.keeper.pids}))
@@ -198,15 +193,21 @@ class Worker(threading.Thread):
         except Interrupted:
             event = Event("interrupted", task)
         except NoArray as error:  # the frame can wait
-            self._post(Event("broken", task, {"why": _told(error)}))
+            self._post(Event("broken", task, {"why": told(error)}))
             event = Event("interrupted", task)
         except Exception as error:
-            event = Event("failed", task, {"why": _told(error)})
+            event = Event("failed", task, {"why": told(error)})
         finally:
             self._task = None
+        self._make_scribe()
         if self.keeper.pids not in ([], pids):
             self._post(Event("ready", None, {"pids": self.keeper.pids}))
         self._post(event)
+
+    def _make_scribe(self) -> None:
+        """Start the scribe if it had to be killed, before it is needed."""
+        if self._scribe.pid is None:
+            self._scribe.tell("warm")
 
     def _look(self) -> None:
         """Called often while the array works. Raises Interrupted."""
@@ -216,55 +217,27 @@ class Worker(threading.Thread):
     # --- one frame ------------------------------------------------------------------------------------
 
     def _frame(self, task: Task) -> Event:
-        from raygrid.host.load import check_taken
-        from raygrid.host.outputs import check_path, check_picture_path, check_side
-
-        assert self._store is not None
-        begun = time.perf_counter()
+        began = time.perf_counter()
         request = task.request
-        files = [path_of(pattern, task.frame) for pattern in request.outputs]
-        stats = None if request.stats is None else path_of(request.stats, task.frame)
         self._tell(task, "read", 0.0, 0)
-        check_taken(request.program, self._options.programs)  # a job of the journal may have had another array
-        ready = self._store.frame(request.wanted(), task.frame)
-        self._note(task, ready.remarks)
-        digest = ready.digest(task.frame, request.transfer)
-        size = ready.job.frame.width, ready.job.frame.height
-        facts = {"files": dict.fromkeys(files, digest), "skipped": False, "stats": stats}
-        if request.resume and self._there(files, stats, digest, size):
-            return Event("done", task, facts | {"skipped": True, "seconds": {}})
-        for file in files:
-            check_picture_path(file)
-            check_side(file, *size)
-        if stats is not None:
-            check_path(stats)
+        begun: Begun = self._scribe.ask("begin", request, task.frame, self._options.programs)
+        self._note(task, begun.remarks)
+        facts = {"files": begun.files, "skipped": begun.ready is None, "stats": begun.stats}
+        if begun.ready is None:
+            return Event("done", task, facts | {"seconds": {}})
+        ready = replace(begun.ready, job=replace(begun.ready.job, add_missed=self._add_missed))
         picture = self.keeper.render(ready, request.budget, self._watch(task, ready))
         self._tell(task, "write", 1.0, 0)
-        self._write(picture, files, stats, request.transfer, digest)
+        where = begun.files, begun.stats, request.transfer
+        self._scribe.ask("finish", Finished(picture.sums, picture.samples, picture.stats, *where))
         if (blank := picture.blank()) is not None:
             self._note(task, [blank if task.frame is None else f"frame {task.frame}: {blank}"])
-        seconds = dict(picture.stats["wall_seconds"]) | {"whole": round(time.perf_counter() - begun, 6)}
+        seconds = dict(picture.stats["wall_seconds"]) | {"whole": round(time.perf_counter() - began, 6)}
         return Event("done", task, facts | {"seconds": seconds})
 
-    def _there(self, files: list[str], stats: str | None, digest: str, size: tuple[int, int]) -> bool:
-        from raygrid.host.whole import is_whole
-
-        assert self._journal is not None
-        journal = self._journal
-        if stats is not None and not Path(stats).is_file():
-            return False
-        with contextlib.suppress(RaygridError):  # a journal that cannot be read vouches for nothing
-            return all(is_whole(file, digest, *size, journal.is_recorded) for file in files)
-        return False
-
-    def _write(self, picture: Picture, files: list[str], stats: str | None, transfer: str, digest: str) -> None:
-        from raygrid.host.stats import save_stats
-        from raygrid.host.whole import KEYWORD
-
-        for file in files:
-            picture.save(file, transfer, {KEYWORD: digest})
-        if stats is not None:
-            save_stats(stats, picture.stats)
+    def _add_missed(self, job: Job, sums: NDArray[np.int64]) -> None:
+        """The background of a program runs in the scribe: it may never come to an end."""
+        sums += self._scribe.ask("background", job.settings.program, job.frame, job.space.step)
 
     def _watch(self, task: Task, ready: Ready) -> Callable[[str, Progress | None], None]:
         def watch(phase: str, now: Progress | None) -> None:
@@ -284,22 +257,9 @@ class Worker(threading.Thread):
 
     def _note(self, task: Task, remarks: Any) -> None:
         """Tell of remarks, each once a job."""
-        for text in remarks:
+        for text in map(printable, remarks):
             if (task.job, text) not in self._noted:
                 self._noted.add((task.job, text))
                 self._post(Event("note", task, {"text": text}))
         if len(self._noted) > 10_000:
             self._noted.clear()
-
-
-def _told(error: BaseException) -> str:
-    """An error as one line; what is not ours goes with its traceback into the log."""
-    line = " ".join(str(error).split())
-    if isinstance(error, RaygridError):
-        return line
-    if isinstance(error, MemoryError):
-        return "out of memory"
-    traceback.print_exception(error, file=sys.stderr)
-    if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
-        return f"the array's service may open no more files: {line}"
-    return f"a bug: {type(error).__name__}: {line} (the array's log has more)"

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 from numpy.typing import NDArray
 from support_cli import Outcome, as_process, warm_kernels
@@ -105,6 +106,13 @@ def watch_until(service: Service, job: int, what: str, from_frame: int = 0, **fa
     return found[0]
 
 
+def scribe_of(service: Service) -> int:
+    """The process that reads scenes for an array that is up."""
+    children = psutil.Process(service.pid).children()
+    (found,) = [child.pid for child in children if "raygrid.host.scribe_process" in child.cmdline()]
+    return int(found)
+
+
 class Peer:
     """A bare socket at the door of a service."""
 
@@ -155,6 +163,7 @@ __all__ = [
     "lasting",
     "name",
     "on",
+    "scribe_of",
     "state_directory",
     "sums",
     "up",

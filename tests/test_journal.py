@@ -1,6 +1,8 @@
 """The journal: what was recorded is there after the process is gone, and a disk that is full is one clear error."""
 
+import contextlib
 import os
+import re
 import sqlite3
 import stat
 import subprocess
@@ -10,6 +12,7 @@ import pytest
 
 from raygrid.host import journal as journal_module
 from raygrid.host.journal import Journal
+from raygrid.host.journal_repair import open_journal
 from raygrid.node.errors import OutputError
 
 REQUEST = {"do": "submit", "scene": "/s.nff", "outputs": ["/o_%d.png"], "frames": [1, 3]}
@@ -99,6 +102,91 @@ def test_a_file_that_is_no_journal_is_refused(path):
     path.write_bytes(b"something else " * 100)
     with pytest.raises(OutputError, match=r"journal\.sqlite: the journal cannot be kept \(file is not a database\)"):
         Journal(path)
+
+
+def damage(path):
+    """Zero all pages but the first, as a bad disk may."""
+    with contextlib.closing(sqlite3.connect(path)) as base:
+        base.execute("pragma wal_checkpoint(truncate)")
+    with open(path, "r+b") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(4096)
+        file.write(bytes(size - 4096))
+
+
+def cut(path):
+    os.truncate(path, 4096)
+
+
+def overwrite(path):
+    path.write_bytes(b"something else " * 100)
+
+
+def drop_a_column(path):
+    with contextlib.closing(sqlite3.connect(path)) as base:
+        base.execute("alter table jobs drop column error")
+
+
+def harm_one_row(path):
+    """The page on which only the second half of the jobs is."""
+    with contextlib.closing(sqlite3.connect(path)) as base:
+        (page,) = base.execute("select max(pageno) from dbstat where name = 'jobs' and pagetype = 'leaf'").fetchone()
+    with open(path, "r+b") as file:
+        file.seek((page - 1) * 4096)
+        file.write(bytes(4096))
+
+
+@pytest.mark.parametrize(
+    ("harm", "saved"), [(damage, 0), (cut, 0), (overwrite, 0), (drop_a_column, 0), (harm_one_row, 1)]
+)
+def test_a_damaged_file_is_set_aside_and_what_can_be_read_goes_on(path, journal, harm, saved):
+    for number in range(40):
+        job = journal.add("me", REQUEST | {"scene": f"/{number}" + "x" * 400})
+        journal.frame_done(job, 1, False, 0.1, {})
+    journal.close()
+    if harm is harm_one_row and not has_dbstat():
+        pytest.skip("this SQLite cannot say what is on which page")
+    harm(path)
+    before = path.read_bytes()
+    again, remarks = open_journal(path)
+    (kept,) = [file for file in path.parent.iterdir() if re.fullmatch(r"journal\.sqlite\.damaged-[\d-]+", file.name)]
+    assert kept.read_bytes() == before
+    (remark,) = remarks
+    rows = again.unfinished()
+    assert re.search(
+        rf"journal\.sqlite: .*: it is kept as {kept.name}, and the {len(rows)} jobs? that could be read", remark
+    )
+    assert (len(rows) > 0) == (saved > 0)
+    assert all(again.frames_done(row.job) == {1} for row in rows)
+    assert again.add("me", REQUEST) > max((row.job for row in rows), default=0)
+    again.close()
+    assert open_journal(path)[1] == []
+
+
+def has_dbstat():
+    with contextlib.closing(sqlite3.connect(":memory:")) as base:
+        try:
+            base.execute("select * from dbstat")
+        except sqlite3.Error:
+            return False
+    return True
+
+
+def test_a_journal_of_the_first_version_is_taken_over(path, journal):
+    job = journal.add("me", REQUEST)
+    journal.close()
+    with contextlib.closing(sqlite3.connect(path)) as base:
+        base.execute("alter table jobs drop column begun")
+        base.execute("drop table set_aside")
+        base.execute("pragma user_version = 1")
+    again = Journal(path)
+    assert (again.find(job).submitted > 0, again.find(job).begun) == (True, None)
+    again.set_state(job, "running")
+    begun = again.find(job).begun
+    assert begun is not None
+    again.set_state(job, "done")
+    assert again.find(job).begun == begun <= again.find(job).ended
+    again.close()
 
 
 def test_a_journal_of_a_later_version_is_refused(path):

@@ -156,9 +156,9 @@ def test_command(tmp_path):
 
 def test_without_matplotlib_the_law_names_all_that_it_wants(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(OutputError, match="pip install matplotlib scipy$"):
+    with pytest.raises(OutputError, match=r"pip install matplotlib scipy$"):
         pyplot("scipy")
-    with pytest.raises(OutputError, match="pip install matplotlib$"):
+    with pytest.raises(OutputError, match=r"pip install matplotlib$"):
         pyplot()
 
 

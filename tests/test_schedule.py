@@ -1,12 +1,13 @@
 """Whose frame is next: clients in turn, their jobs in turn, frames in order; none is lost and none comes twice."""
 
 from collections import Counter
+from itertools import pairwise
 
 from hypothesis import given
 from hypothesis import strategies as st
 from support_cases import steady
 
-from raygrid.host.schedule import Schedule, State
+from raygrid.host.schedule import MOST_YIELDS, PASSES, Schedule, State
 
 
 def take_all(schedule):
@@ -78,7 +79,7 @@ def test_every_frame_is_done_once_whatever_happens(steps):
     for what, number in steps:
         if what == "add":
             jobs += 1
-            schedule.add(jobs, "abcd"[number], range(number + 1), number + 1)
+            schedule.add(jobs, "abcd"[number], range(number + 1), number + 1, jobs % 3)
         elif what == "next" and running is None:
             found = schedule.next()
             running = found and (found[0], found[1])
@@ -106,3 +107,59 @@ def test_every_frame_is_done_once_whatever_happens(steps):
             assert frames[job] >= 1
     assert schedule.entries == {}
     assert schedule.frames_queued == 0
+
+
+# --- priorities ------------------------------------------------------------------------------------------
+
+
+def test_higher_priorities_go_first_and_clients_take_turns_within_each():
+    schedule = Schedule()
+    schedule.add(1, "a", range(2), 2)
+    schedule.add(2, "b", range(2), 2, priority=5)
+    schedule.add(3, "c", range(1), 1, priority=5)
+    schedule.add(4, "d", range(1), 1, priority=-5)
+    assert take_all(schedule) == [(2, 0), (3, 0), (2, 1), (1, 0), (1, 1), (4, 0)]
+
+
+def test_no_priority_waits_for_ever():
+    """However many frames of higher ones come, one of nine is of each lower one at least."""
+    schedule = Schedule()
+    schedule.add(1, "low", range(3), 3, priority=-1)
+    schedule.add(2, "middle", range(3), 3)
+    schedule.add(3, "high", range(100), 100, priority=1)
+    jobs = [job for job, _ in take_all(schedule)]
+    for low in (1, 2):
+        places = [place for place, job in enumerate(jobs) if job == low]
+        assert len(places) == 3
+        assert places[0] <= PASSES + 1
+        assert max(after - before for before, after in pairwise(places)) <= PASSES + 3
+
+
+def test_a_running_frame_yields_to_higher_priorities_twice_and_then_no_more():
+    schedule = Schedule()
+    schedule.add(1, "a", range(1), 1)
+    entry, _ = schedule.next()
+    schedule.add(2, "a", range(1), 1)
+    assert not schedule.should_yield(entry)
+    for number in range(MOST_YIELDS):
+        schedule.add(10 + number, "b", range(1), 1, priority=1)
+        assert schedule.should_yield(entry)
+        entry.yields += 1
+        schedule.put_back(entry)
+        other, _ = schedule.next()
+        assert other.priority == 1
+        schedule.finish(other)
+        assert schedule.next()[0] is entry  # and not job 2: it is first among its own
+    schedule.add(20, "b", range(1), 1, priority=1)
+    assert not schedule.should_yield(entry)
+
+
+def test_a_frame_that_was_passed_over_is_not_given_up():
+    schedule = Schedule()
+    schedule.add(1, "high", range(100), 100, priority=1)
+    schedule.add(2, "low", range(1), 1)
+    entry, _ = schedule.next()
+    while entry.job == 1:
+        schedule.finish(entry)
+        entry, _ = schedule.next()
+    assert not schedule.should_yield(entry)

@@ -13,7 +13,7 @@ import pytest
 from support_cli import RAYGRID, TINY, as_process, one_line, warm_kernels
 from support_processes import wait_dead
 from support_render import SCENES
-from support_service import SIZE, array, name, on, state_directory, sums, up, watch_until
+from support_service import SIZE, array, end, name, on, scribe_of, state_directory, sums, up, watch_until
 from support_terminal import Terminal
 
 import raygrid
@@ -222,18 +222,27 @@ def test_a_full_disk_fails_the_job_in_one_line_and_not_the_array(name, array, tm
 
 
 @contextlib.contextmanager
-def no_room(pid):
-    """No file of that process can grow."""
-    before = resource.prlimit(pid, resource.RLIMIT_FSIZE, (0, resource.RLIM_INFINITY))
+def limited(array, what, most, of_service=None):
+    """The service of an array, and its scribe, have a limit for this block."""
+    before = {pid: resource.prlimit(pid, what) for pid in (array.pid, scribe_of(array))}
+    for pid, (_, hard) in before.items():
+        resource.prlimit(pid, what, (of_service if pid == array.pid and of_service else most, hard))
     try:
         yield
     finally:
-        resource.prlimit(pid, resource.RLIMIT_FSIZE, before)
+        for pid, limits in before.items():
+            with contextlib.suppress(ProcessLookupError):
+                resource.prlimit(pid, what, limits)
+
+
+def no_room(array):
+    """No file can grow."""
+    return limited(array, resource.RLIMIT_FSIZE, 0)
 
 
 def test_without_room_for_the_journal_jobs_are_refused_until_there_is_some(name, array, tmp_path):
     jobs = len(array.jobs(1000))
-    with no_room(array.pid):
+    with no_room(array):
         with pytest.raises(ArrayError, match=r"journal\.sqlite: the journal cannot be kept \(.+\)") as caught:
             array.submit(TINY, output=tmp_path / "a.npy", size=SIZE)
         assert "\n" not in str(caught.value)
@@ -245,7 +254,7 @@ def test_without_room_for_the_journal_jobs_are_refused_until_there_is_some(name,
 def test_when_the_disk_fills_up_meanwhile_the_array_goes_on_and_the_journal_catches_up(name, array, tmp_path):
     job = array.submit(TINY, output=tmp_path / "f_%d.npy", frames=(1, 200), size=SIZE)
     watch_until(array, job.job, "frame", from_frame=2)
-    with no_room(array.pid):
+    with no_room(array):
         with pytest.raises(ArrayError, match=rf"job {job.job} failed: frame \d+: .*npy: the file cannot be written"):
             job.wait()
         assert array.status()["journal"]["trouble"]
@@ -274,14 +283,12 @@ def test_an_output_directory_that_goes_away_fails_the_job_in_one_line(name, arra
 
 def test_out_of_descriptors_is_no_end(name, array, tmp_path):
     """The service may open no more files; what it has open goes on."""
-    before = resource.prlimit(array.pid, resource.RLIMIT_NOFILE)
-    resource.prlimit(array.pid, resource.RLIMIT_NOFILE, (3, before[1]))  # a new one is the lowest that is free
-    try:
+    open_now = [int(number) for number in os.listdir(f"/proc/{array.pid}/fd")]
+    # A new one is the lowest that is free. The service polls what it has, which the kernel refuses beyond the limit.
+    with limited(array, resource.RLIMIT_NOFILE, 3, of_service=max(open_now) + 1):
         with pytest.raises(ArrayError, match=r"job \d+ failed: .+") as caught:
             array.submit(TINY, output=tmp_path / "a.npy", size=SIZE).wait()
         assert "a bug" not in str(caught.value)
-    finally:
-        resource.prlimit(array.pid, resource.RLIMIT_NOFILE, before)
     check_usable(array, tmp_path)
 
 
@@ -296,11 +303,26 @@ def test_what_keeps_it_from_starting_is_said_by_up(name, tmp_path, monkeypatch):
         find("big")
     journal = state_directory("broken")
     journal.mkdir(parents=True)
-    (journal / "journal.sqlite").write_text("something else" * 100)
+    (journal / "journal.sqlite").mkdir()
     one_line(as_process("up", "--name", "broken"), 1, r"raygrid: .*journal\.sqlite: the journal cannot be kept .*")
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
     one_line(as_process("up"), 1, r"raygrid: .*the directory for the journal cannot be made .*: set XDG_STATE_HOME")
+
+
+def test_a_damaged_journal_is_set_aside_and_said_by_up_and_status(name):
+    journal = state_directory("damaged")
+    journal.mkdir(parents=True)
+    (journal / "journal.sqlite").write_text("something else" * 100)
+    try:
+        outcome = as_process("up", "--name", "damaged", "--array", "1x1x1")
+        assert outcome.code == 0
+        assert re.search(
+            r"journal\.sqlite: .* it is kept as journal\.sqlite\.damaged-[\d-]+, and the 0 jobs", outcome.err
+        )
+        assert "journal.sqlite.damaged-" in as_process("status", "--name", "damaged").out
+    finally:
+        end("damaged")
 
 
 def test_a_state_directory_that_is_a_link_or_open_to_others_is_refused(name, tmp_path, monkeypatch):

@@ -1,12 +1,19 @@
 """Jobs in memory and on disk, kept in step."""
 
+import contextlib
+import shutil
+import sqlite3
+
 import pytest
+from test_journal import damage
 
 from raygrid.host import service_jobs
+from raygrid.host.job_facts import first_page
 from raygrid.host.journal import Journal
 from raygrid.host.requests import read_request
 from raygrid.host.schedule import State
 from raygrid.host.service_jobs import Jobs
+from raygrid.host.wire import LONGEST, pack
 from raygrid.node.errors import OutputError, RaygridError
 
 
@@ -66,6 +73,45 @@ def test_a_job_of_the_journal_that_cannot_be_read_fails_alone(path, jobs):
     again = Jobs(Journal(path))
     assert list(again.schedule.entries) == [good]
     assert again.journal.find(bad).state == "failed"
+    assert [row["job"] for row in again.list(10)] == [bad, good]
+    again.close()
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        "request = 'no JSON'",
+        "request = '[1, 2]'",
+        'request = \'{"frames": [1, 1e999], "outputs": 7, "scene": [], "priority": "x"}\'',
+        "request = x'00ff80'",
+        "request = cast(x'7bff7d' as text)",
+        "request = replace(hex(zeroblob(100000)), '00', '[')",
+        "client = cast(x'ff' as text)",
+        "submitted = 'yesterday'",
+        "submitted = 9e999",
+        "state = cast(x'ff' as text)",
+        "error = 7, state = 'done'",
+        "error = cast(zeroblob(9000000) as text), state = 'failed'",
+    ],
+)
+def test_one_bad_row_stops_nothing(path, jobs, harm):
+    """Neither the start nor the list; it is set aside and that is said, or the job is listed as failed."""
+    bad, good = (jobs.submit(request(1, 3)).job for _ in range(2))
+    take(jobs, 2)
+    jobs.close()
+    with contextlib.closing(sqlite3.connect(path)) as base:
+        base.execute(f"update jobs set {harm} where job = {bad}")
+        base.commit()
+    again = Jobs(Journal(path))
+    assert list(again.schedule.entries) == [good]
+    rows = {row["job"]: row for row in again.list(10)}
+    pack({"is": "jobs", "jobs": list(rows.values())})
+    assert rows[good]["done"] == 1
+    with contextlib.closing(sqlite3.connect(path)) as base:
+        kept = base.execute("select job from set_aside").fetchall()
+    assert (bad in rows) != (kept == [(bad,)])
+    assert len(again.remarks) == len(kept)
+    assert again.submit(request(1, 1)).job == 3
     again.close()
 
 
@@ -73,12 +119,15 @@ def test_facts_are_the_same_in_memory_and_on_disk(jobs):
     entry = jobs.submit(request(1, 2))
     take(jobs, 2)
     ended = jobs.facts(entry.job)
+    times = {name: ended.pop(name) for name in ("submitted", "begun", "ended")}
+    assert times["submitted"] <= times["begun"] <= times["ended"]
     assert ended == {
         "job": 1, "state": "done", "client": "me", "scene": "/s.nff", "outputs": ["/o_%d.png"],
-        "first": 1, "last": 2, "frames": 2, "done": 2, "skipped": 0, "error": "",
+        "first": 1, "last": 2, "frames": 2, "done": 2, "skipped": 0, "error": "", "priority": 0,
     }  # fmt: skip
-    running = jobs.submit(request(1, 2))
-    assert jobs.facts(running.job) == ended | {"job": 2, "state": "queued", "done": 0}
+    waiting = jobs.submit(request(1, 2, priority=-3))
+    now = {"job": 2, "state": "queued", "done": 0, "priority": -3, "begun": None, "ended": None}
+    assert jobs.facts(waiting.job) == ended | now | {"submitted": waiting.submitted}
     assert jobs.facts(99) is None
 
 
@@ -99,6 +148,85 @@ def test_a_journal_that_cannot_be_written_catches_up(jobs, monkeypatch):
     assert jobs.trouble == ""
     assert jobs.journal.frames_done(entry.job) == {1, 2}
     assert jobs.journal.find(entry.job).state == "done"
+
+
+BAD_TEXT = "\ud800 \udcff \x1b[31m" + "x" * 9_000_000
+
+
+def test_a_text_that_nobody_can_write_or_send_blocks_no_record_and_no_list(path, jobs):
+    """Half a character, an escape sequence and 9 MB: what a scene's error may hold."""
+    bad, good = jobs.submit(request(1, 1)), jobs.submit(request(1, 2))
+    jobs.fail(bad, BAD_TEXT)
+    take(jobs, 2)
+    assert jobs.trouble == ""
+    assert good.state is State.DONE
+    rows = jobs.list(10)
+    assert [row["state"] for row in rows] == ["failed", "done"]
+    assert len(pack({"is": "jobs", "jobs": rows})) < 10_000
+    assert rows[0]["error"].startswith("\\ud800 \\xff \\x1b[31mxxx")
+    jobs.close()
+    again = Jobs(Journal(path))
+    assert again.schedule.entries == {}
+    again.close()
+
+
+def test_a_record_that_can_never_be_written_is_left_out_and_the_others_are_written(jobs, monkeypatch, capfd):
+    bad, good = jobs.submit(request(1, 1)), jobs.submit(request(1, 2))
+    whole = Journal.set_state
+
+    def fails_for_one(journal, job, state, error=""):
+        if job == bad.job:
+            raise ValueError("surrogates not allowed")
+        whole(journal, job, state, error)
+
+    monkeypatch.setattr(Journal, "set_state", fails_for_one)
+    jobs.fail(bad, "why")
+    take(jobs, 2)
+    assert jobs.submit(request(1, 1)).job == 3
+    assert jobs.journal.find(good.job).state == "done"
+    assert jobs.trouble == ""
+    assert [f"job {bad.job} " in text for text in jobs.remarks] == [True]
+    assert "surrogates not allowed" in capfd.readouterr().err
+
+
+def test_facts_that_are_more_than_a_message_holds_come_in_pages():
+    facts = [
+        {"job": n, "client": "c", "scene": "/s" * 2000, "outputs": ["/o" * 2000] * 16, "error": ""} for n in range(200)
+    ]
+    seen = []
+    while len(seen) < 200:
+        page = first_page(facts[len(seen) :], LONGEST // 2)
+        assert page
+        pack({"is": "jobs", "jobs": page, "left": 200})
+        seen += page
+    assert seen == facts
+    assert first_page([], 10) == []
+
+
+@pytest.mark.parametrize("gone", ["file", "directory", "both files", "damaged"])
+def test_a_journal_that_goes_away_is_made_anew_with_all_that_is_unfinished(tmp_path, gone):
+    path = tmp_path / "state" / "journal.sqlite"
+    path.parent.mkdir()
+    jobs = Jobs(Journal(path), keep_place=lambda: path.parent.mkdir(exist_ok=True))
+    jobs.submit(request(1, 1))
+    long = jobs.submit(request(1, 5))
+    take(jobs, 3)  # one of the first job, which is done, two of the second
+    if gone == "directory":
+        shutil.rmtree(path.parent)
+    elif gone == "damaged":
+        damage(path)
+    else:
+        for suffix in ("",) if gone == "file" else ("", "-wal"):
+            path.with_name(path.name + suffix).unlink()
+    take(jobs, 1)
+    third = jobs.submit(request(7, 7))
+    assert third.job == 3  # no number twice
+    assert jobs.trouble == ""
+    assert len(jobs.remarks) == 1
+    jobs.close()
+    again = Jobs(Journal(path))
+    assert {job: list(entry.todo) for job, entry in again.schedule.entries.items()} == {long.job: [4, 5], 3: [7]}
+    again.close()
 
 
 def test_there_is_an_end_to_what_is_queued(jobs, monkeypatch):
