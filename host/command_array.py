@@ -11,7 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from raygrid.host.client import Connection, connect, wait_gone
+from raygrid.host.client import connect, wait_gone
+from raygrid.host.connection import Connection
 from raygrid.host.outputs import write_result
 from raygrid.host.service_files import Record, find
 from raygrid.node.errors import ArrayError

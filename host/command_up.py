@@ -14,7 +14,7 @@ from typing import Any
 
 from raygrid.host.outputs import write_result
 from raygrid.host.progress import Talk
-from raygrid.host.service_files import LOG, make_state_directory, read_record, running
+from raygrid.host.service_files import LOG, make_state_directory, read_record, running, runs_already
 from raygrid.node.errors import ArrayError
 
 GRACE = 10.0  # seconds for a service to end that was told to
@@ -39,10 +39,7 @@ def run_up(launch: Launch) -> None:
     directory = make_state_directory(launch.name)
     record = read_record(directory)
     if record is not None and record.alive:
-        raise ArrayError(
-            f"the array {launch.name!r} ({_text(record.shape)}, process {record.pid}) runs already: "
-            f"raygrid down --name {launch.name} ends it"
-        )
+        raise runs_already(directory)
     processors = launch.shape[0] * launch.shape[1] * launch.shape[2]
     with Talk(launch.quiet) as talk:
         talk.phase(f"launching {processors} processors")

@@ -126,10 +126,23 @@ def take_lock(directory: Path) -> int:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         os.close(descriptor)
-        record = read_record(directory)
-        pid = f" (process {record.pid})" if record is not None and record.alive else ""
-        raise ArrayError(f"the array {directory.name!r} runs already{pid}: raygrid down ends it") from None
+        raise runs_already(directory) from None
     return descriptor
+
+
+def runs_already(directory: Path) -> ArrayError:
+    """What is told to who would launch an array of a name that is taken. Nothing in it ends an array: whose it is, is not known."""
+    name, record = directory.name, read_record(directory)
+    if record is None or not record.alive:
+        return ArrayError(
+            f"an array named {name!r} is just being launched or taken down by another process: "
+            f"raygrid status --name {name} shows it when it is up, another --name launches one beside it"
+        )
+    shape = "x".join(map(str, record.shape))
+    return ArrayError(
+        f"the array {name!r} ({shape}, process {record.pid}) runs already: "
+        f"raygrid status --name {name} shows it, another --name launches one beside it"
+    )
 
 
 def write_private(path: Path, text: str) -> None:

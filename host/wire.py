@@ -11,6 +11,7 @@ nesting, and that there are only strings, numbers, booleans, nothing, lists and 
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from typing import Any
 
 from raygrid.node.errors import ProtocolError
@@ -26,11 +27,15 @@ MOST_ITEMS = 1 << 17  # of a list or map
 DEEPEST = 6  # lists and maps within each other
 LIMITS = Limits(MOST_ITEMS, DEEPEST, most_bytes=0)
 PLAIN = (str, int, float, bool, type(None))
+SHOWN = 60  # characters of a value that is named in an error
 
 
 def pack(message: Message) -> bytes:
-    """A message as bytes. Raises ProtocolError if it is too long."""
-    body = pack_map(message)
+    """A message as bytes. Raises ProtocolError if it is too long, or cannot be one."""
+    try:
+        body = pack_map(message)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise ProtocolError(f"a message cannot be sent: {str(error).splitlines()[0][:200]}") from None
     if len(body) > LONGEST:
         raise ProtocolError(f"a message of {len(body)} bytes was to be sent, wanted at most {LONGEST}")
     return LENGTH.pack(len(body)) + body
@@ -83,3 +88,44 @@ class Splitter:
         body = bytes(self._held[LENGTH.size : end])
         del self._held[:end]
         return unpack(body)
+
+
+def unsendable(message: Message) -> str:
+    """What in a message cannot be sent, in one sentence; "" if all can."""
+    for place, value, wanted in _wrong(message, "", DEEPEST):
+        return f"{place.removeprefix('settings.') or 'a message'} came as {shown(value)}, wanted {wanted}"
+    return ""
+
+
+def _wrong(value: Any, place: str, deeper: int) -> Iterator[tuple[str, Any, str]]:
+    if isinstance(value, dict | list):
+        if deeper == 0 or len(value) > MOST_ITEMS:
+            yield place, value, f"at most {MOST_ITEMS} items, and at most {DEEPEST} lists and maps within each other"
+            return
+        pairs = [(place, item) for item in value]
+        if isinstance(value, dict):
+            pairs = [(f"{place}.{key}".lstrip("."), item) for key, item in value.items()]
+            yield from ((f"a key of {place or 'a message'}", key, "text") for key in value if type(key) is not str)
+        for inner, item in pairs:
+            yield from _wrong(item, inner, deeper - 1)
+    elif isinstance(value, str):
+        if any("\ud800" <= letter <= "\udfff" for letter in value):
+            yield place, value, "a name in UTF-8"
+    elif isinstance(value, int):
+        if not -(1 << 63) <= value < 1 << 64:
+            yield place, value, "a whole number of at most 64 bits"
+    elif not isinstance(value, PLAIN):
+        yield place, value, "text, a number, true or false, or a list of these"
+
+
+def shown(value: Any) -> str:
+    """A value as an error names it: as Python writes it, made short."""
+    if type(value) is int and value.bit_length() > 512:  # thousands of digits take long to write, or are refused
+        return f"a whole number of {value.bit_length()} bits"
+    try:
+        text = repr(value)
+    except ValueError:  # such a number within
+        return f"a {type(value).__name__}"
+    if len(text) > SHOWN:  # of a path the end counts more
+        text = f"{text[: SHOWN // 3]}...{text[-SHOWN * 2 // 3 :]}"
+    return text
