@@ -31,6 +31,7 @@ class Launch:
     allow_programs: bool
     as_json: bool
     quiet: bool
+    prometheus: int | None = None
 
 
 def run_up(launch: Launch) -> None:
@@ -55,6 +56,10 @@ def run_up(launch: Launch) -> None:
     if ready["unfinished"] and not launch.quiet:
         count = ready["unfinished"]
         Talk(False).remark(f"{count} {'job goes' if count == 1 else 'jobs go'} on: raygrid jobs --name {launch.name}")
+    if ready.get("prometheus") and not launch.quiet:
+        from raygrid.host.figures_server import figures_url
+
+        Talk(False).remark(f"figures for Prometheus are at {figures_url(ready['prometheus'])}")
     if not launch.quiet and sys.stderr.isatty():
         others = ", ".join(other.name for other in running() if other.name != launch.name)
         Talk(False).say(f"ready in {seconds:.2f} s of wall time" + (f"; also up: {others}" if others else ""))
@@ -65,6 +70,7 @@ def _start(launch: Launch, talk: Talk) -> dict[str, Any]:
     arguments = [launch.name, "--array", *map(str, launch.shape)]
     arguments += ["--batch", str(launch.batch), "--patience", str(launch.patience)]
     arguments += ["--programs"] * launch.allow_programs
+    arguments += [] if launch.prometheus is None else ["--prometheus", str(launch.prometheus)]
     try:
         # -P: modules that happen to lie where the user stands are not what the service imports.
         process = subprocess.Popen(

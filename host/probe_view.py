@@ -32,7 +32,7 @@ def summary(gauges: Gauges) -> str:
     return (
         f"{'x'.join(map(str, gauges.shape))}: {len(gauges)} of {many} nodes, {gauges.phase}; "
         f"busy {total['busy']:.2f} processors, {_short(total['rate'])} packets/s, {_short(total['held'])} held, "
-        f"{_short(total['resident'])}B resident, {_short(total['bytes'])}B sent"
+        f"{_short(total['pss'])}B memory (PSS), {_short(total['bytes'])}B sent"
     )
 
 
@@ -41,7 +41,7 @@ def node_table(gauges: Gauges) -> RenderableType:
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
-    for name in ("node", "phase", "busy", "packets/s", "returns", "shadows", "rays", "unsent", "surfaces", "memory"):
+    for name in ("node", "phase", "busy", "packets/s", "returns", "shadows", "rays", "unsent", "surfaces", "PSS"):
         table.add_column(name, justify="left" if name in ("node", "phase") else "right", no_wrap=True)
     busiest = sorted(gauges, key=lambda state: (-state.busy, state.sample.node[::-1]))[:MOST_ROWS]
     for state in sorted(busiest, key=lambda state: state.sample.node[::-1]):
@@ -62,7 +62,7 @@ def _row(state: NodeState) -> tuple[str, ...]:
         *(_short(sample.queues[name]) for name in ("travellers", "shadows", "rays")),
         _short(sum(sample.outputs.values()) + sum(link.waiting for link in sample.links.values())),
         _short(sample.surfaces),
-        _short(sample.memory["resident"]) + "B",
+        _short(sample.memory["pss"]) + "B",
     )
 
 

@@ -41,7 +41,10 @@ ENDING = {signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
 
 
 class Service:
-    """One array that stays, its jobs and its clients."""
+    """One array that stays, its jobs and its clients.
+
+    prometheus  port at which its figures are served, None for none; to be set before it runs
+    """
 
     def __init__(self, name: str, options: Options, place: Place, tell: Any) -> None:
         from raygrid.host.journal import Journal
@@ -50,6 +53,7 @@ class Service:
         from raygrid.host.service_jobs import Jobs
 
         self._name, self._options, self._place, self._tell = name, options, place, tell
+        self.prometheus: int | None = None
         self._directory = options.journal.parent
         self._loop = asyncio.get_running_loop()
         self._worker = Worker(options, self._post)
@@ -128,7 +132,8 @@ class Service:
                 self._end()
                 return
             unfinished = len(self._jobs.schedule.entries)
-            self._report({"is": "ready", "pid": os.getpid(), "nodes": event.facts["pids"], "unfinished": unfinished})
+            ready = {"pid": os.getpid(), "nodes": event.facts["pids"], "unfinished": unfinished}
+            self._report({"is": "ready", **ready, "prometheus": self.prometheus})
             self._tell.close()
         self._samples.take(event.facts["pids"])
         self._next()
@@ -350,6 +355,10 @@ class Service:
         return {"is": "ending", "pid": os.getpid(), "unfinished": left}
 
     async def _do_status(self, client: Client, request: Request) -> Message:
+        return {"is": "status", **await self.facts()}
+
+    async def facts(self) -> dict[str, Any]:
+        """How the array is (docs/service.md)."""
         pids, shape = self._worker.keeper.pids, self._options.shape
         nodes = await asyncio.to_thread(self._samples.nodes, pids, shape)
         loads = [node["load"] for node in nodes if node["load"] is not None]
@@ -358,7 +367,6 @@ class Service:
         if self._task is not None and self._entry is not None:
             running = {"job": self._task.job, "frame": self._task.frame, "scene": self._task.request.scene, **self._now}
         return {
-            "is": "status",
             "name": self._name,
             "state": "finishing" if self._finishing and self._state == "ready" else self._state,
             "why": self._why,
@@ -366,8 +374,9 @@ class Service:
             "started": self._started,
             "array": list(shape),
             "load": round(sum(loads) / len(loads), 3) if loads else None,
-            "memory": sum(node["memory"] for node in nodes),
+            "pss": sum(node["pss"] for node in nodes),
             "nodes": nodes,
+            "jobs": self._jobs.counts(),
             "queue": {"jobs": len(schedule.entries), "frames": schedule.frames_queued},
             "running": running,
             "frames": {name: self._counts[name] for name in ("done", "skipped", "failed")},
@@ -378,6 +387,7 @@ class Service:
             "clients": len(self._door.clients),
             "refused": dict(self._door.refused),
             "journal": {"path": str(self._options.journal), "trouble": self._jobs.trouble},
+            "prometheus": self.prometheus,
         }
 
     # --- the end --------------------------------------------------------------------------------------

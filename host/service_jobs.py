@@ -119,6 +119,13 @@ class Jobs:
         done = entry.done, entry.skipped
         return _facts(entry.job, entry.state, entry.client, self._requests[entry.job], *done, entry.error)
 
+    def counts(self) -> dict[str, int]:
+        """Jobs of the journal by state; none if it cannot be read."""
+        try:
+            return self.journal.counts()
+        except OutputError:
+            return {}
+
     def close(self) -> None:
         """Write what can be written, and close the journal."""
         self._flush()

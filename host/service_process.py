@@ -8,6 +8,7 @@ import contextlib
 import json
 import os
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +18,29 @@ from raygrid.host.service_files import JOURNAL, LOG, make_state_directory, take_
 from raygrid.host.worker import Options
 from raygrid.node.errors import RaygridError
 
+FIGURES_SECONDS = 4.0  # for the service to say how it is
 
-async def _serve(name: str, options: Options, place: Place, tell: Any) -> int:
-    return await Service(name, options, place, tell).run()
+
+async def _serve(name: str, options: Options, place: Place, tell: Any, port: int | None) -> int:
+    if port is None:
+        return await Service(name, options, place, tell).run()
+    from raygrid.host.figures_server import Endpoint
+    from raygrid.host.prometheus import of_service
+
+    loop, services = asyncio.get_running_loop(), list[Service]()
+
+    def families() -> Iterator[Any]:
+        for service in services:
+            yield from of_service(asyncio.run_coroutine_threadsafe(service.facts(), loop).result(FIGURES_SECONDS))
+
+    endpoint = Endpoint(families, port)  # first: what keeps it from its port is said before anything is launched
+    try:
+        service = Service(name, options, place, tell)
+        service.prometheus = endpoint.port
+        services.append(service)
+        return await service.run()
+    finally:
+        await asyncio.to_thread(endpoint.close)  # a visit may wait for this thread
 
 
 def main() -> None:
@@ -30,6 +51,7 @@ def main() -> None:
     parser.add_argument("--batch", type=int, required=True)
     parser.add_argument("--patience", type=float, required=True)
     parser.add_argument("--programs", action="store_true")
+    parser.add_argument("--prometheus", type=int)
     given = parser.parse_args()
     signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)  # until there is somebody who cleans up
     tell = os.fdopen(os.dup(1), "wb")
@@ -42,7 +64,7 @@ def main() -> None:
         nx, ny, nz = given.array
         options = Options((nx, ny, nz), given.batch, given.patience, directory / JOURNAL, given.programs)
         with Place.create((1, 1, 1)) as place:
-            code = asyncio.run(_serve(given.name, options, place, tell))
+            code = asyncio.run(_serve(given.name, options, place, tell, given.prometheus))
         os.close(lock)
     except (RaygridError, OSError) as error:
         with contextlib.suppress(OSError, ValueError):
