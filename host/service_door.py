@@ -61,7 +61,7 @@ class Client:
         unsent = transport.get_write_buffer_size()
         if self._writer.is_closing() or (droppable and unsent > CROWDED):
             return
-        self._writer.write(pack(message))
+        self._writer.write(pack(message, escape=True))
         if transport.get_write_buffer_size() > MOST_UNSENT:
             self._on_slow()
             transport.abort()

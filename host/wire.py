@@ -14,8 +14,10 @@ import struct
 from collections.abc import Iterator
 from typing import Any
 
+import msgpack
+
 from raygrid.node.errors import ProtocolError
-from raygrid.node.maps import Limits, pack_map, read_map
+from raygrid.node.maps import Limits, read_map
 
 Message = dict[str, Any]
 
@@ -30,10 +32,15 @@ PLAIN = (str, int, float, bool, type(None))
 SHOWN = 60  # characters of a value that is named in an error
 
 
-def pack(message: Message) -> bytes:
-    """A message as bytes. Raises ProtocolError if it is too long, or cannot be one."""
+def pack(message: Message, escape: bool = False) -> bytes:
+    """A message as bytes. Raises ProtocolError if it is too long, or cannot be one.
+
+    escape  text that is no UTF-8, such as a path may be, instead of refusing the message: for what is only to be read
+    """
     try:
-        body = pack_map(message)
+        body: bytes = msgpack.packb(
+            message, use_bin_type=True, unicode_errors="backslashreplace" if escape else "strict"
+        )
     except (ValueError, TypeError, OverflowError) as error:
         raise ProtocolError(f"a message cannot be sent: {str(error).splitlines()[0][:200]}") from None
     if len(body) > LONGEST:
@@ -104,18 +111,28 @@ def _wrong(value: Any, place: str, deeper: int) -> Iterator[tuple[str, Any, str]
             return
         pairs = [(place, item) for item in value]
         if isinstance(value, dict):
-            pairs = [(f"{place}.{key}".lstrip("."), item) for key, item in value.items()]
-            yield from ((f"a key of {place or 'a message'}", key, "text") for key in value if type(key) is not str)
+            pairs = [(".".join(filter(None, (place, _name(key)))), item) for key, item in value.items()]
+            of = f"a key of {place or 'a message'}"
+            yield from ((of, key, "text in UTF-8") for key in value if type(key) is not str or _is_torn(key))
         for inner, item in pairs:
             yield from _wrong(item, inner, deeper - 1)
     elif isinstance(value, str):
-        if any("\ud800" <= letter <= "\udfff" for letter in value):
+        if _is_torn(value):
             yield place, value, "a name in UTF-8"
     elif isinstance(value, int):
         if not -(1 << 63) <= value < 1 << 64:
             yield place, value, "a whole number of at most 64 bits"
     elif not isinstance(value, PLAIN):
         yield place, value, "text, a number, true or false, or a list of these"
+
+
+def _is_torn(text: str) -> bool:
+    """Whether a text has halves of characters, as names have that are no UTF-8."""
+    return any("\ud800" <= letter <= "\udfff" for letter in text)
+
+
+def _name(key: Any) -> str:
+    return key[:SHOWN] if isinstance(key, str) and key.isprintable() else shown(key)
 
 
 def shown(value: Any) -> str:

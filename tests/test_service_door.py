@@ -200,6 +200,34 @@ def test_who_does_not_read_is_cut_off_and_progress_is_dropped_first(folder, monk
     with_door(folder, work)
 
 
+def test_an_answer_with_a_path_that_is_no_utf_8_can_be_read(folder, monkeypatch):
+    async def told(self, client, message):
+        return {"is": "status", "journal": "/tmp/\udcff"}
+
+    monkeypatch.setattr(Door, "_reply", told)
+
+    def work(door, _):
+        with connected(folder) as peer:
+            assert asked(peer, folder, {"do": "status"})[1]["journal"] == "/tmp/\\udcff"
+
+    with_door(folder, work)
+
+
+def test_an_answer_that_is_too_long_is_told_and_the_next_one_comes(folder, monkeypatch):
+    async def told(self, client, message):
+        return {"is": "jobs", "text": "x" * (9 << 20 if message["do"] == "jobs" else 1)}
+
+    monkeypatch.setattr(Door, "_reply", told)
+
+    def work(door, _):
+        with connected(folder) as peer:
+            said = asked(peer, folder, {"do": "jobs"}, {"do": "status"})
+            assert [answer["is"] for answer in said] == ["welcome", "error", "jobs"]
+            assert "the answer cannot be sent: a message of 9437" in said[1]["error"]
+
+    with_door(folder, work)
+
+
 def test_the_socket_and_the_secret_are_for_us_alone(folder):
     def work(door, _):
         for name in (SOCKET, TOKEN):
