@@ -326,7 +326,7 @@ def test_a_socket_directory_open_to_others_is_not_used(name):
 
 
 def test_two_services_never_share_a_journal(name):
-    with pytest.raises(ArrayError, match="the array 'test' runs already"):
+    with pytest.raises(ArrayError, match=r"the array 'test' \(2x1x1, process \d+\) runs already"):
         take_lock(state_directory(name))
 
 
