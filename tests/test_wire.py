@@ -97,7 +97,7 @@ def test_a_message_that_is_too_long_is_not_sent():
 
 def test_text_that_is_no_utf_8_is_refused_or_escaped():
     path = "/tmp/\udcff.png"
-    with pytest.raises(ProtocolError, match="a message cannot be sent: .*surrogates"):
+    with pytest.raises(ProtocolError, match=r"a message cannot be sent: .*surrogates"):
         pack({"path": path})
     assert unpack(pack({"path": path}, escape=True)[4:]) == {"path": "/tmp/\\udcff.png"}
     assert unsendable({"path": path}) == f"path came as {path!r}, wanted a name in UTF-8"
