@@ -115,14 +115,14 @@ def run_jobs(name: str, ended: int, as_json: bool) -> None:
 def _jobs(name: str, ended: int) -> tuple[list[Facts], bool]:
     """The jobs of an array, and whether it is down."""
     try:
-        record = find(name)
+        find(name)
     except ArrayError:
         path = state_directory(name) / JOURNAL
         if not path.is_file():
             raise
         return journal_facts(path, ended), True
-    with contextlib.closing(Connection(record)) as connection:
-        return list(connection.ask({"do": "jobs", "ended": ended})["jobs"]), False
+    with connect(name) as array:
+        return array.jobs(ended), False
 
 
 def _job_row(job: Facts) -> tuple[str, ...]:
