@@ -3,7 +3,7 @@
     python benchmarks/fuzz_service.py --messages 20000 --seed 1
 
 Each message goes in over a connection of its own, half of them by a client that was let in. What comes back must be an error
-and the end of the connection; a request that is none must never be carried out. Prints what was sent and refused, by kind;
+and nothing else; a request that is none must never be carried out. Prints what was sent and refused, by kind;
 exit code 1 if one was not refused, the service grew by more than 10 MB, or a frame afterwards has other bits than before.
 """
 
@@ -94,7 +94,7 @@ KINDS: dict[str, Callable[[random.Random], bytes]] = {
 
 
 def refused(path: str, token: str | None, message: bytes) -> bool:
-    """Send one message, after a greeting if there is a token; whether it was answered by an error and the end."""
+    """Send one message, after a greeting if there is a token; whether it was answered by an error and nothing else."""
     splitter = Splitter()
     with socket.socket(socket.AF_UNIX) as peer:
         peer.settimeout(30.0)
@@ -103,6 +103,7 @@ def refused(path: str, token: str | None, message: bytes) -> bool:
             if token is not None:
                 peer.sendall(pack({"do": "hello", "version": VERSION, "token": token}))
             peer.sendall(message)
+            peer.shutdown(socket.SHUT_WR)  # who sent a request that is none would be listened to further
         with contextlib.suppress(ConnectionResetError):
             while piece := peer.recv(1 << 16):
                 splitter.feed(piece)

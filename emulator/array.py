@@ -360,7 +360,9 @@ class Array:
         if self._place is not None:
             self._place.keep()
         lame = {(node.index, node.pid): node for node in self.nodes() if node.state in ("stopped", "dead")}
-        said = {key: f"node {_name(node.index)} (pid {node.pid}) is {node.state}" for key, node in lame.items()}
+        said: dict[tuple[tuple[int, ...], int], str] = {
+            key: f"node {_name(node.index)} (pid {node.pid}) is {node.state}" for key, node in lame.items()
+        }
         if idle and self._nursery is not None and self._nursery.stopped:
             said[(), self._nursery.pid] = f"the nursery (process {self._nursery.pid}) is stopped"
         self._lame_since = {key: self._lame_since.get(key, now) for key in said}

@@ -19,7 +19,7 @@ PHASES = ("idle", "load", "trace", "collect")
 PORTS = ("-x", "+x", "-y", "+y", "-z", "+z", "host", "self")  # in the order of node.walk
 KIND_NAMES = {int(kind): kind.name.lower() for kind in PacketKind}
 QUEUES = ("travellers", "shadows", "rays")
-MEMORY = ("surfaces", "pixels", "backlog", "outputs", "resident")
+MEMORY = ("surfaces", "pixels", "backlog", "outputs", "pss")
 MOST = 1 << 62
 COUNTERS = struct.Struct(f"<{COUNTS}q")
 
@@ -48,7 +48,7 @@ class Sample:
     waiting   the same by port of arrival and kind, without those that are 0 (of the newest 32,768 of each class)
     outputs   packets put out and not yet sent, by port
     links     by port
-    surfaces  held; memory: bytes by use, resident that of the process
+    surfaces  held; memory: bytes by use, pss that of the process
     cpu       seconds of processor time since the process began
     dropped   what the node could not say since its process began, because nobody listened
     """

@@ -1,4 +1,4 @@
-"""The commands for an array that stays: up, submit, wait, jobs, cancel, status, reset, down."""
+"""The commands for arrays that stay: up, list, submit, wait, jobs, cancel, status, reset, down."""
 
 from __future__ import annotations
 
@@ -20,8 +20,14 @@ UP_EXAMPLES = """\b
 Examples:
   raygrid up --array 2x2x2
   raygrid up --array 4x4x4 --name film
+  raygrid up --name film --prometheus 9400
 
 Jobs that were not done when the array of that name was taken down, or crashed, go on.
+"""
+LIST_EXAMPLES = """\b
+Examples:
+  raygrid list
+  raygrid list --json
 """
 SUBMIT_EXAMPLES = """\b
 Examples:
@@ -49,6 +55,7 @@ Examples:
 STATUS_EXAMPLES = """\b
 Examples:
   raygrid status
+  raygrid status --watch
   raygrid status --name film --json
 """
 RESET_EXAMPLES = """\b
@@ -119,6 +126,8 @@ def _json_option(command: Command) -> Command:
 @click.option("--allow-programs", is_flag=True, help="Take programs. They run with your rights.")
 @click.option("--allow-outside", is_flag=True,
               help="Let the scenes of all jobs refer to files outside their folders. They are read with your rights.")
+@click.option("--prometheus", type=Number(0, 65535), metavar="PORT",
+              help="Serve figures of jobs, queue, frames and faults at http://127.0.0.1:PORT/metrics; 0: any free port.")
 @_json_option
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors.")
 def up(**options: Any) -> None:
@@ -126,6 +135,15 @@ def up(**options: Any) -> None:
     from raygrid.host.command_up import Launch, run_up
 
     run_up(Launch(**options))
+
+
+@click.command("list", epilog=LIST_EXAMPLES)
+@_json_option
+def list_arrays(as_json: bool) -> None:
+    """List the arrays that are up: shape, state, since when, jobs."""
+    from raygrid.host.command_list import run_list
+
+    run_list(as_json)
 
 
 @click.command(epilog=SUBMIT_EXAMPLES)
@@ -177,7 +195,10 @@ def wait(job: int, **options: Any) -> None:
               help="How many of the jobs that have ended.")
 @_json_option
 def jobs(**options: Any) -> None:
-    """List the jobs of an array: the last that have ended, and all that have not."""
+    """List the jobs of an array: the last that have ended, and all that have not.
+
+    Of an array that is not up they are read out of its journal.
+    """
     from raygrid.host.command_array import run_jobs
 
     run_jobs(**options)
@@ -198,6 +219,8 @@ def cancel(numbers: tuple[int, ...], everything: bool, name: str) -> None:
 
 @click.command(epilog=STATUS_EXAMPLES)
 @_name_option
+@click.option("--watch", is_flag=True, help="Say it again and again, until Ctrl-C or the array's end.")
+@click.option("--every", type=Number(0.1, 86_400.0), default=1.0, show_default=True, metavar="SECONDS", help="With --watch.")
 @_json_option
 def status(**options: Any) -> None:
     """Say how an array is: its nodes, load, queue, frames and faults."""
@@ -234,6 +257,6 @@ def add_commands(group: click.Group, render: click.Command, debug: Callable[[Com
     """Add the commands to the command line. `render` has the options that a job has, too."""
     shared = [option for option in render.params if option.name in OF_RENDER]
     submit.params[2:2] = shared
-    for command in (up, submit, wait, jobs, cancel, status, reset, down):
+    for command in (up, list_arrays, submit, wait, jobs, cancel, status, reset, down):
         debug(command)
         group.add_command(command)

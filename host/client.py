@@ -1,4 +1,4 @@
-"""Speak to an array that stays. Light to import: neither numpy nor numba.
+"""Speak to an array that stays. Light to import: neither numpy nor numba. Any thread may use one connection at any time.
 
 with raygrid.connect("film") as array:
     job = array.submit("room.toml", frames=(1, 250), output="out/f_%04d.png", size=(640, 480))
@@ -8,36 +8,23 @@ with raygrid.connect("film") as array:
 
 from __future__ import annotations
 
-import contextlib
+import math
 import os
 import secrets
 import select
-import socket
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from raygrid.emulator.places import LONGEST_PATH
+from raygrid.host.connection import ANSWER_SECONDS, ENDED, Connection
 from raygrid.host.frames import path_of
-from raygrid.host.service_files import (
-    DEFAULT_NAME,
-    SOCKET,
-    TOKEN,
-    Record,
-    check_private,
-    find,
-    read_private,
-)
-from raygrid.host.wire import VERSION, Message, Splitter, pack
-from raygrid.node.errors import ArrayError, ProtocolError
+from raygrid.host.service_files import DEFAULT_NAME, Record, find
+from raygrid.host.wire import Message, shown
+from raygrid.node.errors import ArrayError
 
-ANSWER_SECONDS = 20.0  # a service that lives answers at once
 RESET_SECONDS = 150.0
-QUIET_SECONDS = 30.0  # without any news of a job, after which the service is asked whether it lives
-ENDED = ("done", "failed", "cancelled")
 SETTINGS = ("size", "samples", "depth", "min_weight", "highlights", "split")
 
 Watch = Callable[[dict[str, Any]], None]
@@ -59,104 +46,6 @@ class Result:
     skipped: int
 
 
-class Connection:
-    """One connection to a service: requests, answers and events. For use by one thread at a time."""
-
-    def __init__(self, record: Record, timeout: float = ANSWER_SECONDS) -> None:
-        """Connect and be let in. Raises ArrayError if there is no service, or if it does not answer."""
-        self.record, self._timeout = record, timeout
-        self._splitter = Splitter()
-        self._events: list[Message] = []
-        check_private(record.directory, directory=True)
-        token = read_private(Path(record.directory, TOKEN))
-        path = os.path.join(record.directory, SOCKET)
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC)
-        try:
-            self._socket.settimeout(timeout)
-            if len(os.fsencode(path)) > LONGEST_PATH:
-                raise ArrayError(f"{path}: a socket's path is that long, wanted at most {LONGEST_PATH} bytes")
-            with self._told():
-                self._socket.connect(path)
-            self.ask({"do": "hello", "version": VERSION, "token": token})
-        except BaseException:
-            self._socket.close()
-            raise
-
-    @contextlib.contextmanager
-    def _told(self) -> Iterator[None]:
-        """Errors of the socket as ours."""
-        name, pid = self.record.name, self.record.pid
-        try:
-            yield
-        except TimeoutError:
-            raise ArrayError(
-                f"the array {name!r} (process {pid}) does not answer; raygrid down --kill --name {name} ends it"
-            ) from None
-        except OSError as error:
-            raise ArrayError(f"the array {name!r} (process {pid}) is gone ({error.strerror or error})") from None
-
-    def ask(self, request: Message, timeout: float | None = None) -> Message:
-        """Send a request and wait for its answer; events that come before it are kept.
-
-        Raises ArrayError for what the service refuses, and if it is gone or does not answer.
-        """
-        with self._told():
-            self._socket.settimeout(timeout or self._timeout)
-            self._socket.sendall(pack(request))
-            while (message := self._receive())["is"] == "event":
-                self._events.append(message)
-        if message["is"] == "error":
-            raise ArrayError(str(message["error"]))
-        return message
-
-    def next_event(self, job: int) -> Message:
-        """The next event, of any job that is followed, waited for as long as it takes.
-
-        Where none comes for a while, the service is asked for `job`. Raises ArrayError if it is gone or hangs.
-        """
-        while not self._events:
-            self._socket.settimeout(QUIET_SECONDS)
-            try:
-                message = self._receive()
-            except TimeoutError:
-                self.ask({"do": "follow", "job": job})
-                continue
-            except OSError as error:
-                raise ArrayError(f"the array {self.record.name!r} is gone ({error.strerror or error})") from None
-            if message["is"] == "event":
-                self._events.append(message)
-        return self._events.pop(0)
-
-    def poll_event(self, seconds: float) -> Message | None:
-        """The next event if one comes within that time. Raises ArrayError if the service is gone."""
-        if not self._events:
-            self._socket.settimeout(seconds)
-            try:
-                message = self._receive()
-            except TimeoutError:
-                return None
-            except OSError as error:
-                raise ArrayError(f"the array {self.record.name!r} is gone ({error.strerror or error})") from None
-            if message["is"] != "event":
-                return None
-            self._events.append(message)
-        return self._events.pop(0)
-
-    def _receive(self) -> Message:
-        while (message := self._splitter.next()) is None:
-            piece = self._socket.recv(1 << 16)
-            if not piece:
-                raise ArrayError(f"the array {self.record.name!r} has closed the connection")
-            self._splitter.feed(piece)
-        if not isinstance(message.get("is"), str):
-            raise ProtocolError(f"the array {self.record.name!r} sent a message that says not what it is")
-        return message
-
-    def close(self) -> None:
-        """Close; jobs go on."""
-        self._socket.close()
-
-
 @dataclass(frozen=True)
 class Submitted:
     """A job that was submitted. `job` is its number."""
@@ -175,6 +64,8 @@ class Submitted:
 
 class Service:
     """An array that stays, as a client sees it. Use as a context manager; jobs and array go on when it closes.
+
+    Any thread may call any method at any time; several may wait for jobs, or for the same one.
 
     name   of the array
     shape  processors on each axis
@@ -222,25 +113,25 @@ class Service:
         unknown = set(settings) - set(SETTINGS)
         if unknown:
             raise TypeError(f"the settings {sorted(unknown)} came, wanted some of {', '.join(SETTINGS)}")
-        if frames is None and turntable is not None:
+        if frames is None and isinstance(turntable, int):
             frames = 1, turntable
-        outputs = [output] if isinstance(output, str | os.PathLike) else list(output)
+        outputs = list(output) if isinstance(output, Sequence) and not isinstance(output, str | bytes) else [output]
         request: Message = {
             "do": "submit",
-            "scene": os.path.abspath(scene),
+            "scene": absolute("scene", scene),
             "settings": {name: _plain(value) for name, value in settings.items() if value is not None},
-            "frames": None if frames is None else list(frames),
-            "outputs": [os.path.abspath(path) for path in outputs],
-            "stats": None if stats is None else os.path.abspath(stats),
+            "frames": _plain(frames),
+            "outputs": [absolute("output", path) for path in outputs],
+            "stats": None if stats is None else absolute("stats", stats),
             "transfer": transfer,
             "resume": resume,
             "client": self._client if client is None else client,
-            "turntable": None if turntable is None else {"frames": turntable, "scene": turn_scene},
-            "program": None if program is None else os.path.abspath(program),
-            "priority": priority,
+            "turntable": None if turntable is None else {"frames": _plain(turntable), "scene": turn_scene},
+            "program": None if program is None else absolute("program", program),
+            "priority": _plain(priority),
         }
         if budget is not None:
-            request["budget"] = budget
+            request["budget"] = _plain(budget)
         return Submitted(self, self._connection.ask(request)["job"])
 
     def wait(self, job: int, watch: Watch | None = None) -> Result:
@@ -248,16 +139,13 @@ class Service:
 
         Raises ArrayError if it failed or was cancelled, if there is no such job, and if the array ends.
         """
-        facts = self._connection.ask({"do": "follow", "job": job})
-        end = {**facts, "what": "end"} if facts["state"] in ENDED else None
-        while end is None:
-            event = self._connection.next_event(job)
-            if event["job"] != job:
-                continue  # a job of this connection that nobody waits for
-            if event["what"] == "end":
+        with self._connection.listen(job) as listener:
+            facts = self._connection.ask({"do": "follow", "job": job})
+            end = facts
+            for event in () if facts["state"] in ENDED else listener.follow():
                 end = event
-            if watch is not None:
-                watch(event)
+                if watch is not None:
+                    watch(event)
         if end["state"] != "done":
             raise ArrayError(f"job {job} {_said(end)}")
         numbers = [None] if facts["first"] is None else range(facts["first"], facts["last"] + 1)
@@ -266,7 +154,7 @@ class Service:
 
     def cancel(self, jobs: Sequence[int] | None) -> list[int]:
         """Cancel jobs, None: all; returns those that had not ended. Raises ArrayError if one of them is not known."""
-        answer = self._connection.ask({"do": "cancel", "jobs": None if jobs is None else list(jobs)})
+        answer = self._connection.ask({"do": "cancel", "jobs": _plain(jobs)})
         return list(answer["jobs"])
 
     def jobs(self, ended: int = 10) -> list[dict[str, Any]]:
@@ -312,11 +200,13 @@ class Service:
 
 
 def connect(name: str = DEFAULT_NAME, timeout: float = ANSWER_SECONDS) -> Service:
-    """Connect to an array that `raygrid up` has launched.
+    """Connect to an array that `raygrid up` has launched. Threads may share the connection.
 
     timeout  seconds to wait for an answer
     Raises ArrayError if no array of that name runs, or if it does not answer.
     """
+    if not isinstance(timeout, int | float) or not 0.0 < timeout < math.inf:
+        raise ArrayError(f"timeout came as {shown(timeout)}, wanted seconds above 0")
     return Service(name, timeout)
 
 
@@ -341,9 +231,26 @@ def wait_gone(record: Record, timeout: float | None = None) -> bool:
 
 def _plain(value: Any) -> Any:
     """A setting as a message can carry it: pairs as lists, numpy's numbers as numbers."""
-    if isinstance(value, Sequence) and not isinstance(value, str):
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes | bytearray):
         return [_plain(item) for item in value]
-    return value.item() if hasattr(value, "item") else value
+    if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
+        return value.tolist()
+    return value
+
+
+def absolute(what: str, path: Any) -> str:
+    """A path from the root, for the service, which stands elsewhere. Raises ArrayError for what is no path.
+
+    what  it is the path of
+    """
+    if not isinstance(path, str | os.PathLike) or not isinstance(os.fspath(path), str):
+        raise ArrayError(f"{what} came as {shown(path)}, wanted the path of a file")
+    try:
+        return os.path.abspath(path)
+    except FileNotFoundError:
+        raise ArrayError(
+            f"{what} came as {os.fspath(path)!r}, wanted an absolute path: the current directory was removed"
+        ) from None
 
 
 def _said(end: Message) -> str:

@@ -6,28 +6,59 @@ import contextlib
 import json
 import os
 import signal
+import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from raygrid.host.clean_text import printable
-from raygrid.host.client import Connection, connect, wait_gone
+from raygrid.host.client import Service, connect, wait_gone
+from raygrid.host.connection import Connection
+from raygrid.host.figures_server import figures_url
+from raygrid.host.journal_facts import journal_facts
 from raygrid.host.outputs import write_result
-from raygrid.host.service_files import Record, find
+from raygrid.host.progress import Talk
+from raygrid.host.service_files import JOURNAL, Record, find, state_directory
+from raygrid.host.text_tables import bytes_of, count_of, span, table
 from raygrid.node.errors import ArrayError
 
 KILL_SECONDS = 10.0
 NODES_SHOWN = 64
+JOB_COLUMNS = (
+    "job", "state", "frames", "done", "submitted", "waited", "took", "priority", "client", "scene", "outputs",
+)  # fmt: skip
 
 Facts = dict[str, Any]
 
 
-def run_status(name: str, as_json: bool) -> None:
-    """Print how an array is. Raises ArrayError."""
+def run_status(name: str, as_json: bool, watch: bool = False, every: float = 1.0) -> None:
+    """Print how an array is; to `watch`: again and again, every so many seconds, until it ends. Raises ArrayError."""
     with connect(name) as array:
-        facts = array.status()
-    write_result(json.dumps(facts, indent=2) if as_json else "\n".join(_status_lines(facts)))
+        if not watch:
+            facts = array.status()
+            write_result(json.dumps(facts, indent=2) if as_json else "\n".join(_status_lines(facts)))
+        elif as_json or not sys.stdout.isatty():
+            while True:
+                facts = array.status()
+                write_result(json.dumps(facts) if as_json else "\n".join([*_status_lines(facts), ""]))
+                time.sleep(every)
+        else:
+            _watch(array, every)
+
+
+def _watch(array: Service, every: float) -> None:
+    """Draw how an array is on the terminal, over what was drawn before; what does not fit is left out at the end."""
+    from rich.console import Console
+    from rich.live import Live
+    from rich.text import Text
+
+    def drawn() -> Text:
+        return Text("\n".join(_status_lines(array.status())), no_wrap=True, overflow="ellipsis")
+
+    with Live(drawn(), console=Console(highlight=False), auto_refresh=False, vertical_overflow="ellipsis") as live:
+        while True:
+            time.sleep(every)
+            live.update(drawn(), refresh=True)
 
 
 def _status_lines(facts: Facts) -> list[str]:
@@ -36,11 +67,11 @@ def _status_lines(facts: Facts) -> list[str]:
     why = f" ({facts['why']})" if facts["why"] else ""
     frames, queue, faults = facts["frames"], facts["queue"], facts["faults"]
     lines = [
-        f"{facts['name']}: {shape} {facts['state']}{why}, up for {_span(time.time() - facts['started'])}, "
-        f"service {facts['pid']}{load}, {_bytes(facts['memory'])} in the nodes",
+        f"{facts['name']}: {shape} {facts['state']}{why}, up for {span(time.time() - facts['started'])}, "
+        f"service {facts['pid']}{load}, {bytes_of(facts['pss'])} memory (PSS)",
         f"frames: {frames['done']:,} done, {frames['skipped']:,} skipped, {frames['failed']:,} failed; "
         f"scenes loaded {facts['floods']:,} times, moved on by increments {facts['increments']:,} times",
-        f"queue: {_count(queue['jobs'], 'job')}, {_count(queue['frames'], 'frame')} not begun; {_running(facts['running'])}",
+        f"queue: {count_of(queue['jobs'], 'job')}, {count_of(queue['frames'], 'frame')} not begun; {_running(facts['running'])}",
         f"faults: {faults['count']:,}, resets: {facts['resets']:,}"
         + (f"; the last: {faults['last'][-1]['what']}" if faults["last"] else ""),
     ]
@@ -49,12 +80,14 @@ def _status_lines(facts: Facts) -> list[str]:
     refused = ", ".join(f"{count} {why}" for why, count in facts["refused"].items() if count)
     lines.append(f"clients: {facts['clients']}; refused: {refused or 'none'}")
     lines += [f"journal: {words}" for words in (facts["journal"]["trouble"], *facts["journal"]["remarks"]) if words]
-    rows = [("node", "pid", "state", "load", "memory")]
+    if facts.get("prometheus"):
+        lines.append(f"figures for Prometheus: {figures_url(facts['prometheus'])}")
+    rows = [("node", "pid", "state", "load", "PSS")]
     for node in facts["nodes"][:NODES_SHOWN]:
         busy = "-" if node["load"] is None else f"{100 * node['load']:.0f} %"
         place = ",".join(map(str, node["node"]))
-        rows.append((place, str(node["pid"]), node["state"], busy, _bytes(node["memory"])))
-    lines += _table(rows)
+        rows.append((place, str(node["pid"]), node["state"], busy, bytes_of(node["pss"])))
+    lines += table(rows)
     if len(facts["nodes"]) > NODES_SHOWN:
         lines.append(f"... and {len(facts['nodes']) - NODES_SHOWN} more (--json has all)")
     return lines
@@ -69,27 +102,57 @@ def _running(running: Facts | None) -> str:
 
 
 def run_jobs(name: str, ended: int, as_json: bool) -> None:
-    """Print the jobs of an array. Raises ArrayError."""
-    with connect(name) as array:
-        jobs = array.jobs(ended)
+    """Print the jobs of an array, out of its journal if it is not up. Raises ArrayError if there is neither."""
+    jobs, down = _jobs(name, ended)
     if as_json:
         write_result(json.dumps(jobs, indent=2))
         return
-    rows = [("job", "state", "frames", "done", "submitted", "waited", "took", "priority", "client", "scene", "outputs")]
-    write_result("\n".join(_table(rows + [_job_row(job, time.time()) for job in jobs])) if jobs else "no jobs")
+    now = time.time()
+    write_result("\n".join(table([JOB_COLUMNS, *(_job_row(job, now) for job in jobs)])) if jobs else "no jobs")
+    if down:
+        left = sum(job["state"] in ("queued", "running") for job in jobs)
+        goes = "none goes on" if not left else f"{count_of(left, 'job')} {'goes' if left == 1 else 'go'} on"
+        Talk(False).remark(
+            f"the array {name!r} is not up, this is from its journal; {goes} after raygrid up --name {name}"
+        )
+
+
+def _jobs(name: str, ended: int) -> tuple[list[Facts], bool]:
+    """The jobs of an array, and whether it is down."""
+    try:
+        find(name)
+    except ArrayError:
+        path = state_directory(name) / JOURNAL
+        if not path.is_file():
+            raise
+        return journal_facts(path, ended), True
+    with connect(name) as array:
+        return array.jobs(ended), False
 
 
 def _job_row(job: Facts, now: float) -> tuple[str, ...]:
     """A job as a row: how long it waited for its first frame, and took from then on, until now or its end."""
-    begun, ended = job["begun"], job["ended"]
-    waited = _span(max(0.0, (begun or ended or now) - job["submitted"]))
-    took = "-" if begun is None else _span(max(0.0, (ended or now) - begun))
+    submitted, begun, ended = (job.get(name) for name in ("submitted", "begun", "ended"))
+    going = job["state"] in ("queued", "running")
+    waited = took = "-"
+    if submitted is not None and (going or begun or ended):
+        waited = span((begun or ended or now) - submitted)
+    if begun is not None and (ended or job["state"] == "running"):
+        took = span((ended or now) - begun)
     frames = "-" if job["first"] is None else f"{job['first']}-{job['last']}"
     words = f"  ({job['error']})" if job["error"] else ""
     texts = [Path(job["scene"]).name, " ".join(job["outputs"]) + words]
-    times = time.strftime("%m-%d %H:%M:%S", time.localtime(job["submitted"])), waited, took
-    how = frames, f"{job['done']}/{job['frames']}", *times, str(job["priority"]), printable(job["client"])
-    return (str(job["job"]), job["state"], *how, *map(printable, texts))
+    how = frames, f"{job['done']}/{job['frames']}", _moment(submitted), waited, took, str(job["priority"])
+    return (str(job["job"]), job["state"], *how, *map(printable, (job["client"] or "-", *texts)))
+
+
+def _moment(seconds: float | None) -> str:
+    """A moment by the clock here; with its date if that is not today's."""
+    if seconds is None:
+        return "-"
+    then = time.localtime(seconds)
+    today = then[:3] == time.localtime()[:3]
+    return time.strftime("%H:%M:%S" if today else "%Y-%m-%d %H:%M", then)
 
 
 def run_cancel(name: str, jobs: list[int] | None) -> None:
@@ -119,7 +182,9 @@ def run_down(name: str, finish: bool, cancel: bool, kill: bool) -> None:
     with contextlib.closing(connection):
         answer = connection.ask({"do": "down", "finish": finish, "cancel": cancel})
     wait_gone(connection.record)
-    left = "" if finish or not answer["unfinished"] else f", {_count(answer['unfinished'], 'job')} left in its journal"
+    left = (
+        "" if finish or not answer["unfinished"] else f", {count_of(answer['unfinished'], 'job')} left in its journal"
+    )
     write_result(f"{name}: ended{left}")
 
 
@@ -129,25 +194,3 @@ def _kill(record: Record) -> None:
         os.kill(record.pid, signal.SIGKILL)
     if not wait_gone(record, KILL_SECONDS):
         raise ArrayError(f"process {record.pid} is still there {KILL_SECONDS:g} seconds after it was killed")
-
-
-def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]) - 1)]
-    return [
-        "  ".join([*(cell.ljust(width) for cell, width in zip(row, widths, strict=False)), row[-1]]) for row in rows
-    ]
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number:,} {noun}" if number == 1 else f"{number:,} {noun}s"
-
-
-def _bytes(number: int) -> str:
-    return f"{number / 1e9:.1f} GB" if number >= 10**9 else f"{number / 1e6:.1f} MB"
-
-
-def _span(seconds: float) -> str:
-    minutes, left = divmod(round(seconds), 60)
-    if minutes < 60:
-        return f"{minutes} min {left:02} s" if minutes else f"{left} s"
-    return f"{minutes // 60} h {minutes % 60:02} min"

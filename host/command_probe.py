@@ -126,9 +126,10 @@ def _open(request: Request) -> Iterator[tuple[Feed, str | None]]:
 def _served(request: Request, probing: Probing) -> AbstractContextManager[Any]:
     if request.prometheus is None:
         return contextlib.nullcontext()
-    from raygrid.host.prometheus import Endpoint
+    from raygrid.host.figures_server import Endpoint
+    from raygrid.host.prometheus import of_probes
 
-    return Endpoint(lambda: probing.gauges, request.prometheus)
+    return Endpoint(lambda: of_probes(probing.gauges), request.prometheus)
 
 
 class _Screen:

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from raygrid.host.client import Connection
+from raygrid.host.client import absolute
+from raygrid.host.connection import ENDED, Connection, Listener
 from raygrid.host.frames import Turntable, check_pattern, path_of
 from raygrid.host.load import check_name, check_program_name
 from raygrid.host.outputs import check_different, check_path, check_picture_path, write_result
@@ -19,6 +20,7 @@ from raygrid.node.errors import ArrayError, SceneError
 
 WORDS = PHASES | {"read": "reading", "write": "writing"}
 CANCEL_SECONDS = 5.0
+NO_JOB = 0  # its number is in the answer
 
 Facts = dict[str, Any]
 
@@ -51,13 +53,14 @@ def run_submit(order: Order) -> None:
     _check(order, order_outputs)
     connection = Connection(find(order.name))
     with contextlib.closing(connection):
-        answer = connection.ask(_request(order, order_outputs))
+        listener = connection.listen(NO_JOB)
+        answer = connection.ask(_request(order, order_outputs), listener=listener)
         job = answer["job"]
         if order.detach:
             write_result(json.dumps({"job": job, "frames": answer["frames"]}) if order.as_json else str(job))
             return
         try:
-            _follow(connection, job, answer["frames"], order.as_json, order.quiet)
+            _follow(listener, job, answer["frames"], order.as_json, order.quiet)
         except BaseException as error:
             if _is_interrupt(error):
                 _cancel(connection, job)
@@ -68,13 +71,14 @@ def run_wait(job: int, name: str, as_json: bool, quiet: bool) -> None:
     """Follow a job. Raises RaygridError, also if the job has failed or was cancelled."""
     connection = Connection(find(name))
     with contextlib.closing(connection):
+        listener = connection.listen(job)
         facts = connection.ask({"do": "follow", "job": job})
-        if facts["state"] in ("done", "failed", "cancelled"):
+        if facts["state"] in ENDED:
             if as_json:
                 write_result(json.dumps({**facts, "is": "event", "what": "end"}))
             _judge(job, facts)
             return
-        _follow(connection, job, facts["frames"], as_json, quiet)
+        _follow(listener, job, facts["frames"], as_json, quiet)
 
 
 def _default_outputs(order: Order) -> tuple[str, ...]:
@@ -84,13 +88,15 @@ def _default_outputs(order: Order) -> tuple[str, ...]:
 def _check(order: Order, outputs: tuple[str, ...]) -> None:
     """What can be seen to be wrong before the array is asked. Raises SceneError, OutputError."""
     check_name(order.scene)
+    written = [*outputs] + ([] if order.stats is None else [order.stats])
+    for what, path in (("scene", order.scene), *(("output", path) for path in written)):
+        absolute(what, path)
     if not os.path.isfile(order.scene):
         raise SceneError(f"{order.scene}: there is no such file")
     if order.program is not None:
         check_program_name(order.program)
     if order.program is not None and not os.path.isfile(order.program):
         raise SceneError(f"{order.program}: there is no such file")
-    written = [*outputs] + ([] if order.stats is None else [order.stats])
     for pattern in written:
         check_pattern(pattern, order.frames)
     first = None if order.frames is None else order.frames[0]
@@ -108,36 +114,31 @@ def _request(order: Order, outputs: tuple[str, ...]) -> Facts:
     turn = order.turntable
     return {
         "do": "submit",
-        "scene": os.path.abspath(order.scene),
+        "scene": absolute("scene", order.scene),
         "settings": settings,
         "frames": None if order.frames is None else list(order.frames),
-        "outputs": [os.path.abspath(path) for path in outputs],
-        "stats": None if order.stats is None else os.path.abspath(order.stats),
+        "outputs": [absolute("output", path) for path in outputs],
+        "stats": None if order.stats is None else absolute("stats", order.stats),
         "transfer": order.transfer,
         "budget": order.budget,
         "resume": order.resume,
         "client": order.client,
         "turntable": None if turn is None else {"frames": turn.frames, "scene": turn.turn_scene},
-        "program": None if order.program is None else os.path.abspath(order.program),
+        "program": None if order.program is None else absolute("program", order.program),
         "priority": order.priority,
         "follow": not order.detach,
     }
 
 
-def _follow(connection: Connection, job: int, frames: int, as_json: bool, quiet: bool) -> None:
+def _follow(listener: Listener, job: int, frames: int, as_json: bool, quiet: bool) -> None:
     """Tell of a job until it has ended. Raises ArrayError unless it is done."""
     with Talk(quiet or as_json) as talk:
         teller = _Teller(talk, job, frames)
-        while True:
-            event = connection.next_event(job)
-            if event["job"] != job:
-                continue
+        for event in listener.follow():
             if as_json:
                 write_result(json.dumps({key: value for key, value in event.items() if key != "is"}))
             else:
                 teller.tell(event)
-            if event["what"] == "end":
-                break
     if not as_json:
         teller.sum_up(event, quiet)
     _judge(job, event)
@@ -187,7 +188,10 @@ class _Teller:
 
 
 def _is_below(file: str) -> bool:
-    return file.startswith(os.path.join(os.getcwd(), ""))
+    try:
+        return file.startswith(os.path.join(os.getcwd(), ""))
+    except FileNotFoundError:  # the current directory was removed
+        return False
 
 
 def _judge(job: int, end: Facts) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 
 from raygrid.host.outputs import write_result
 from raygrid.host.progress import Talk
-from raygrid.host.service_files import LOG, make_state_directory, read_record, running
+from raygrid.host.service_files import LOG, make_state_directory, read_record, running, runs_already
 from raygrid.node.errors import ArrayError
 
 GRACE = 10.0  # seconds for a service to end that was told to
@@ -32,6 +32,7 @@ class Launch:
     allow_outside: bool
     as_json: bool
     quiet: bool
+    prometheus: int | None = None
 
 
 def run_up(launch: Launch) -> None:
@@ -40,10 +41,7 @@ def run_up(launch: Launch) -> None:
     directory = make_state_directory(launch.name)
     record = read_record(directory)
     if record is not None and record.alive:
-        raise ArrayError(
-            f"the array {launch.name!r} ({_text(record.shape)}, process {record.pid}) runs already: "
-            f"raygrid down --name {launch.name} ends it"
-        )
+        raise runs_already(directory)
     processors = launch.shape[0] * launch.shape[1] * launch.shape[2]
     with Talk(launch.quiet) as talk:
         talk.phase(f"launching {processors} processors")
@@ -61,6 +59,10 @@ def run_up(launch: Launch) -> None:
         Talk(False).remark(f"{count} {'job goes' if count == 1 else 'jobs go'} on: raygrid jobs --name {launch.name}")
     for remark in ready["remarks"]:
         Talk(False).remark(remark)
+    if ready.get("prometheus") and not launch.quiet:
+        from raygrid.host.figures_server import figures_url
+
+        Talk(False).remark(f"figures for Prometheus are at {figures_url(ready['prometheus'])}")
     if not launch.quiet and sys.stderr.isatty():
         others = ", ".join(other.name for other in running() if other.name != launch.name)
         Talk(False).say(f"ready in {seconds:.2f} s of wall time" + (f"; also up: {others}" if others else ""))
@@ -71,6 +73,7 @@ def _start(launch: Launch, talk: Talk) -> dict[str, Any]:
     arguments = [launch.name, "--array", *map(str, launch.shape)]
     arguments += ["--batch", str(launch.batch), "--patience", str(launch.patience)]
     arguments += ["--programs"] * launch.allow_programs + ["--outside"] * launch.allow_outside
+    arguments += [] if launch.prometheus is None else ["--prometheus", str(launch.prometheus)]
     try:
         # -P: modules that happen to lie where the user stands are not what the service imports.
         process = subprocess.Popen(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
@@ -29,10 +31,27 @@ __all__ = ["Machine", "Picture", "Scene", "launch", "load_scene"]
 
 
 class Machine:
-    """A launched array. Use as a context manager; when it closes, no process, socket or file is left."""
+    """A launched array. Use as a context manager; when it closes, no process, socket or file is left.
+
+    One thread at a time may use it; another one is refused by an ArrayError meanwhile. But any may close it.
+    """
 
     def __init__(self, array: Array, allow_outside: bool = False) -> None:
         self._array, self._allow_outside = array, allow_outside
+        self._in_use = threading.RLock()  # what is told of the work may use the array, in the same thread
+
+    @contextlib.contextmanager
+    def _use(self) -> Iterator[Array]:
+        """The array, for this thread alone. Raises ArrayError while another thread has it."""
+        if not self._in_use.acquire(blocking=False):
+            raise ArrayError(
+                "the array is in use by another thread, wanted one at a time: launch an array for each, "
+                "or one that stays (raygrid up), to which many may raygrid.connect"
+            )
+        try:
+            yield self._array
+        finally:
+            self._in_use.release()
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -63,10 +82,11 @@ class Machine:
                   begins anew; what happened is in the picture's stats["faults"]
         Raises SceneError for a scene or settings that cannot be rendered, ArrayError if the array fails.
         """
-        if not isinstance(scene, Scene):
-            scene = load_scene(scene, self._allow_outside)
-        job = make_job(scene, self.shape, self._settings(settings))
-        return render_steadily(self._array, job, budget, watch, attempts=attempts)
+        with self._use() as array:
+            if not isinstance(scene, Scene):
+                scene = load_scene(scene, self._allow_outside)
+            job = make_job(scene, self.shape, self._settings(settings))
+            return render_steadily(array, job, budget, watch, attempts=attempts)
 
     def render_frames(
         self,
@@ -87,7 +107,9 @@ class Machine:
         if not isinstance(scene, Scene):
             scene = load_scene(scene, self._allow_outside)
         for job in jobs_of(scene, self.shape, self._settings(settings), frames):
-            yield render_steadily(self._array, job, budget, watch, attempts=attempts)
+            with self._use() as array:  # not while the caller has the picture
+                picture = render_steadily(array, job, budget, watch, attempts=attempts)
+            yield picture
 
     def _settings(self, given: dict[str, Any]) -> Settings:
         program = given.get("program")
@@ -101,15 +123,30 @@ class Machine:
         watch  called with each `raygrid.emulator.samples.Sample`
         Raises ProtocolError for a rate that cannot be.
         """
-        self._array.probe(rate, watch)
+        with self._use() as array:
+            array.probe(rate, watch)
 
     def reset(self) -> None:
         """The reset line: drop whatever the array holds or does; afterwards it is empty and ready (`Array.reset`)."""
-        self._array.reset()
+        with self._use() as array:
+            array.reset()
 
     def close(self) -> None:
-        """End the array. May be called twice."""
-        self._array.close()
+        """End the array. May be called twice, and by any thread: what another one renders is given up, by an ArrayError."""
+        with self._taken():
+            self._array.close()
+
+    @contextlib.contextmanager
+    def _taken(self) -> Iterator[None]:
+        """The array for this thread, as soon as another one has given up what it does with it."""
+        if not self._in_use.acquire(blocking=False):
+            self._array.on_wait = _give_up
+            self._in_use.acquire()
+        try:
+            self._array.on_wait = None
+            yield
+        finally:
+            self._in_use.release()
 
     def __enter__(self) -> Machine:
         return self
@@ -117,7 +154,12 @@ class Machine:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._array.__exit__(kind, error, trace)
+        with self._taken():
+            self._array.__exit__(kind, error, trace)
+
+
+def _give_up() -> None:
+    raise ArrayError("the array was closed by another thread while it was in use")
 
 
 def launch(

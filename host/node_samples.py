@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from raygrid.emulator.places import STATES
+from raygrid.node.usage import proportional_memory
 
 TICKS = os.sysconf("SC_CLK_TCK")
 NODE_STATES = STATES | {"": "gone"}  # told apart from one that has ended and waits to be reaped
@@ -35,7 +36,7 @@ class Samples:
         pid, state   of its process
         cpu_seconds  that it has used
         load         part of a processor that it used lately, 0 to 1; None if that is not known yet
-        memory       bytes that it shares with no other process
+        pss          bytes of its memory, of pages that n processes share the n-th part
         """
         now = time.monotonic()
         since, before = self._newer if now - self._newer[0] >= LEAST_SPAN else self._older
@@ -51,7 +52,7 @@ class Samples:
                     "state": NODE_STATES.get(state, state),
                     "cpu_seconds": round(spent, 2),
                     "load": None if load is None else round(max(load, 0.0), 3),
-                    "memory": private_memory(pid),
+                    "pss": proportional_memory(pid),
                 }
             )
         return found
@@ -65,14 +66,3 @@ def process_times(pid: int) -> tuple[str, float]:
         return fields[0].decode(), (int(fields[11]) + int(fields[12])) / TICKS
     except (OSError, IndexError, ValueError):
         return "", 0.0
-
-
-def private_memory(pid: int) -> int:
-    """Bytes resident that no other process shares; 0 if that cannot be read."""
-    try:
-        with open(f"/proc/{pid}/smaps_rollup", encoding="ascii") as lines:
-            return 1024 * sum(
-                int(line.split()[1]) for line in lines if line.startswith(("Private_Clean", "Private_Dirty"))
-            )
-    except (OSError, ValueError):
-        return 0

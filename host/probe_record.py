@@ -14,7 +14,7 @@ from raygrid.host.outputs import check_path
 from raygrid.host.probe_sums import NodeState, sample_record
 from raygrid.node.errors import OutputError
 
-VERSION = 1
+VERSION = 2  # 1 had another figure of memory
 
 
 def header(shape: tuple[int, int, int], rate: float) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from raygrid.emulator.samples import Sample
-from raygrid.host.client import Connection
+from raygrid.host.connection import Connection, Listener
 from raygrid.host.probing import Feed
 from raygrid.host.service_files import find
 from raygrid.node.errors import ProtocolError
@@ -26,18 +26,19 @@ def subscribe(name: str, rate: float) -> Iterator[Feed]:
     connection = Connection(find(name))
     request = {"do": "probe", "rate": float(rate)}
     with contextlib.closing(connection):
+        listener = connection.listen(None)
         answer = connection.ask(request)
         nx, ny, nz = connection.record.shape
-        yield Feed((nx, ny, nz), float(answer["rate"]), _samples(connection, request))
+        yield Feed((nx, ny, nz), float(answer["rate"]), _samples(connection, listener, request))
 
 
-def _samples(connection: Connection, request: dict[str, Any]) -> Iterator[Sample | None]:
+def _samples(connection: Connection, listener: Listener, request: dict[str, Any]) -> Iterator[Sample | None]:
     from pydantic import TypeAdapter, ValidationError
 
     reader = TypeAdapter(Sample)
     heard = time.monotonic()
     while True:
-        event = connection.poll_event(TURN_SECONDS)
+        event = listener.next(TURN_SECONDS)
         if event is None:
             if time.monotonic() - heard > QUIET_SECONDS:
                 connection.ask(request)
@@ -45,10 +46,7 @@ def _samples(connection: Connection, request: dict[str, Any]) -> Iterator[Sample
             yield None
             continue
         heard = time.monotonic()
-        if event.get("what") == "sample":
-            try:
-                yield reader.validate_python(event["sample"])
-            except (KeyError, ValidationError) as error:
-                raise ProtocolError(
-                    f"the array {connection.record.name!r} sent a sample that is none: {error}"
-                ) from None
+        try:
+            yield reader.validate_python(event["sample"])
+        except (KeyError, ValidationError) as error:
+            raise ProtocolError(f"the array {connection.record.name!r} sent a sample that is none: {error}") from None

@@ -63,7 +63,7 @@ class Gauges:
             "rate": sum(state.rate for state in states),
             "held": sum(sample.held for sample in samples),
             "surfaces": sum(sample.surfaces for sample in samples),
-            "resident": sum(sample.memory["resident"] for sample in samples),
+            "pss": sum(sample.memory["pss"] for sample in samples),
             "cpu": sum(sample.cpu for sample in samples),
             "messages_waiting": sum(link.waiting for sample in samples for link in sample.links.values()),
             "messages": sum(link.messages_sent for sample in samples for link in sample.links.values()),

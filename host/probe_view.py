@@ -45,7 +45,7 @@ COLUMNS = (
     ("rays", 6, 6),
     ("unsent", 6, 2),
     ("surfaces", 8, 1),
-    ("memory", 7, 7),
+    ("PSS", 7, 7),
 )
 
 
@@ -70,7 +70,7 @@ def summary(gauges: Gauges) -> tuple[str, str]:
         f"{'x'.join(map(str, gauges.shape))}: {len(gauges)} of {many} nodes, {gauges.phase}; "
         f"busy {total['busy']:.2f} processors",
         f"{short(total['rate'])} packets/s, {short(total['held'])} held, "
-        f"{short(total['resident'])}B resident, {short(total['bytes'])}B sent",
+        f"{short(total['pss'])}B memory (PSS), {short(total['bytes'])}B sent",
     )
 
 
@@ -115,7 +115,7 @@ def _row(state: NodeState) -> dict[str, str]:
         "rays": short(sample.queues["rays"]),
         "unsent": short(sum(sample.outputs.values()) + sum(link.waiting for link in sample.links.values())),
         "surfaces": short(sample.surfaces),
-        "memory": short(sample.memory["resident"]) + "B",
+        "PSS": short(sample.memory["pss"]) + "B",
     }
 
 

@@ -20,15 +20,61 @@ from pydantic import (
 )
 
 from raygrid.host.frames import LAST_FRAME, MOST_FRAMES, Turntable, check_pattern
-from raygrid.host.wire import Message
+from raygrid.host.wire import Message, shown
 from raygrid.node.errors import OutputError, ProtocolError
 
 if TYPE_CHECKING:
     from raygrid.host.scene_store import Wanted
 
 LONGEST_PATH = 4096
-MAX_FRAMES = 1_000_000  # of a turntable (`raygrid.host.shot`)
+# Bounds of others (`host.job`, `host.shot`, `node.orders`, `node.packets`, `node.probe`), as numbers: this module stays light,
+# and tests/test_requests.py holds them to be the same.
+MAX_FRAMES = 1_000_000  # of a turntable
+MAX_SIDE = 65_536
+MAX_PIXELS = 1 << 28
+MAX_DEPTH = 31
+FASTEST = 100.0  # samples a second
 MOST_PRIORITY = 100
+MOST_OUTPUTS = 16
+MOST_JOBS = 10_000  # that one request names
+MOST_SAMPLES = 1 << 32
+MOST_BUDGET = (1 << 32) - 1
+LONGEST_CLIENT = 64  # characters
+
+_PATH = f"an absolute path of at most {LONGEST_PATH} characters"
+_SWITCH = "true or false"
+# What is to stand where something else came, in words; a number's bounds are those below.
+WANTED = {
+    "do": "submit, follow, cancel, jobs, status, probe, reset or down",
+    "scene": _PATH,
+    "outputs": f"1 to {MOST_OUTPUTS} absolute paths of at most {LONGEST_PATH} characters",
+    "stats": _PATH,
+    "program": _PATH,
+    "settings": "a map",
+    "settings.size": f"sides of 1 to {MAX_SIDE} and at most {MAX_PIXELS:,} pixels, such as 640x480",
+    "settings.samples": f"a whole number from 1 to {MOST_SAMPLES}",
+    "settings.depth": f"a whole number from 1 to {MAX_DEPTH}",
+    "settings.min_weight": "a number from 0 to 1e+30",
+    "settings.highlights": _SWITCH,
+    "settings.split": "balanced or uniform",
+    "frames": f"the first and the last of at most {MOST_FRAMES:,} frames, from 0 to {LAST_FRAME}",
+    "turntable": "a number of frames",
+    "turntable.frames": f"a whole number from 1 to {MAX_FRAMES:,}",
+    "turntable.scene": _SWITCH,
+    "transfer": "srgb or linear",
+    "budget": f"a whole number from 1 to {MOST_BUDGET}",
+    "resume": _SWITCH,
+    "priority": f"a whole number from -{MOST_PRIORITY} to {MOST_PRIORITY}",
+    "client": f"text of at most {LONGEST_CLIENT} characters",
+    "follow": _SWITCH,
+    "job": "the number of a job",
+    "jobs": f"the numbers of at most {MOST_JOBS:,} jobs",
+    "ended": f"a whole number from 0 to {MOST_JOBS:,}",
+    "after": "the number of a job, or 0",
+    "rate": f"0 to {FASTEST:g} samples a second",
+    "finish": _SWITCH,
+    "cancel": _SWITCH,
+}
 
 
 def _absolute(path: str) -> str:
@@ -37,10 +83,19 @@ def _absolute(path: str) -> str:
     return path
 
 
+Side = Annotated[int, Field(ge=1, le=MAX_SIDE)]
+
+
+def _few_pixels(size: tuple[int, int]) -> tuple[int, int]:
+    if size[0] * size[1] > MAX_PIXELS:
+        raise ValueError(f"wanted at most {MAX_PIXELS} pixels")
+    return size
+
+
+Size = Annotated[tuple[Side, Side], Strict(False), AfterValidator(_few_pixels)]  # msgpack has lists, no tuples
 Path = Annotated[str, Field(max_length=LONGEST_PATH), AfterValidator(_absolute)]
 Frame = Annotated[int, Field(ge=0, le=LAST_FRAME)]
 Number = Annotated[int, Field(ge=1, le=(1 << 53))]
-Side = Annotated[int, Field(ge=1, le=65536)]
 
 
 class Strictly(BaseModel):
@@ -52,9 +107,9 @@ class Strictly(BaseModel):
 class SettingsOf(Strictly):
     """`raygrid.host.job.Settings`."""
 
-    size: Annotated[tuple[Side, Side], Strict(False)] | None = None  # msgpack has lists, no tuples
-    samples: Annotated[int, Field(ge=1, le=1 << 32)] | None = None
-    depth: Annotated[int, Field(ge=1, le=31)] | None = None
+    size: Size | None = None
+    samples: Annotated[int, Field(ge=1, le=MOST_SAMPLES)] | None = None
+    depth: Annotated[int, Field(ge=1, le=MAX_DEPTH)] | None = None
     min_weight: Annotated[float, Field(ge=0.0, le=1e30)] | None = None
     highlights: bool | None = None
     split: Literal["balanced", "uniform"] = "balanced"
@@ -83,12 +138,12 @@ class Submit(Strictly):
     scene: Path
     settings: SettingsOf = SettingsOf()
     frames: Annotated[tuple[Frame, Frame], Strict(False)] | None = None
-    outputs: Annotated[list[Path], Field(min_length=1, max_length=16)]
+    outputs: Annotated[list[Path], Field(min_length=1, max_length=MOST_OUTPUTS)]
     stats: Path | None = None
     transfer: Literal["srgb", "linear"] = "srgb"
-    budget: Annotated[int, Field(ge=1, le=(1 << 32) - 1)] = 1 << 20
+    budget: Annotated[int, Field(ge=1, le=MOST_BUDGET)] = 1 << 20
     resume: bool = False
-    client: Annotated[str, Field(max_length=64)] = ""
+    client: Annotated[str, Field(max_length=LONGEST_CLIENT)] = ""
     turntable: TurntableOf | None = None
     program: Path | None = None
     priority: Annotated[int, Field(ge=-MOST_PRIORITY, le=MOST_PRIORITY)] = 0
@@ -129,14 +184,14 @@ class Cancel(Strictly):
     """Cancel jobs; None: all."""
 
     do: Literal["cancel"]
-    jobs: Annotated[list[Number], Field(max_length=10_000)] | None
+    jobs: Annotated[list[Number], Field(max_length=MOST_JOBS)] | None
 
 
 class Jobs(Strictly):
     """List jobs: those that have not ended, and the last `ended` of those that have. `after`: only higher numbers."""
 
     do: Literal["jobs"]
-    ended: Annotated[int, Field(ge=0, le=10_000)] = 10
+    ended: Annotated[int, Field(ge=0, le=MOST_JOBS)] = 10
     after: Annotated[int, Field(ge=0, le=(1 << 53))] = 0
 
 
@@ -150,7 +205,7 @@ class Probe(Strictly):
     """Tell how the nodes stand, `rate` times a second each, until the client leaves or asks for 0."""
 
     do: Literal["probe"]
-    rate: Annotated[float, Field(ge=0.0, le=100.0)]
+    rate: Annotated[float, Field(ge=0.0, le=FASTEST)]
 
 
 class Reset(Strictly):
@@ -176,7 +231,7 @@ def read_request(message: Message) -> Request:
     try:
         return _REQUEST.validate_python(message)
     except ValidationError as error:
-        raise ProtocolError(f"a request came that is none: {_told(error)}") from None
+        raise ProtocolError(_told(error, message)) from None
 
 
 def read_job(message: Message) -> Submit:
@@ -184,11 +239,36 @@ def read_job(message: Message) -> Submit:
     try:
         return Submit.model_validate(message)
     except ValidationError as error:
-        raise ProtocolError(f"a job of the journal is none: {_told(error)}") from None
+        raise ProtocolError(f"a job of the journal is none: {_told(error, message)}") from None
 
 
-def _told(error: ValidationError) -> str:
+def _told(error: ValidationError, message: Message) -> str:
+    """What is wrong with a map, by its first fault: what came and what was wanted."""
     first: Any = error.errors(include_url=False)[0]
-    place = ".".join(str(step) for step in first["loc"])
-    came = repr(first["input"])
-    return f"{place or 'it'}: {first['msg']}, {came[:60] + '...' if len(came) > 60 else came} came"
+    steps = [str(step) for step in first["loc"] if not isinstance(step, int)]
+    if steps and steps[0] == message.get("do"):  # that is how pydantic says which of the requests it is
+        del steps[0]
+    if first["type"] == "extra_forbidden":
+        known = f"only what {message['do']} knows" if isinstance(message.get("do"), str) else "only what is known"
+        return f"the key {'.'.join(steps)[:80]!r} came, wanted {known}"
+    if first["type"] == "value_error" and not steps:
+        return str(first["ctx"]["error"])
+    if first["type"].startswith("union_tag"):
+        steps = ["do"]
+    name = ".".join(steps)
+    came, missing = _at(message, steps), first["type"] in ("missing", "union_tag_not_found")
+    said = "is missing" if missing else f"came as {_shown(came, name)}"
+    return f"{name.removeprefix('settings.') or 'a request'} {said}, wanted {WANTED.get(name, first['msg'])}"
+
+
+def _at(message: Message, steps: list[str]) -> Any:
+    """What stands at a place in a message."""
+    found: Any = message
+    for step in steps:
+        found = found.get(step) if isinstance(found, dict) else None
+    return found
+
+
+def _shown(value: Any, name: str) -> str:
+    is_size = name == "settings.size" and isinstance(value, list | tuple) and len(value) == 2
+    return "x".join(map(shown, value)) if is_size and all(type(side) is int for side in value) else shown(value)

@@ -46,6 +46,7 @@ class Service:
     counts       frames done, skipped, failed; resets
     faults       the last ones; `fault_count`: how many there were
     resets       who waits for a reset
+    prometheus   port at which its figures are served, None for none; to be set before it runs
     """
 
     def __init__(self, home: Home, options: Options, place: Place, tell: Any) -> None:
@@ -61,8 +62,10 @@ class Service:
         self.worker = Worker(options, self._post)
         self.worker.start()  # first of all: the nursery warms up while the rest is made ready
         self.jobs = Jobs(*open_journal(options.journal), home.keep)
-        self.door = Door(place.path, Answers(self).answer)
+        self.answers = Answers(self)
+        self.door = Door(place.path, self.answers.answer)
         self.samples = Samples()
+        self.prometheus: int | None = None
         self.state, self.why = "launching", ""
         self.task: Task | None = None
         self.entry: Entry | None = None
@@ -179,7 +182,11 @@ class Service:
                 self._launched = False
                 self.end()
                 return
-            said = {"unfinished": len(self.jobs.schedule.entries), "remarks": list(self.jobs.remarks)}
+            said = {
+                "unfinished": len(self.jobs.schedule.entries),
+                "remarks": list(self.jobs.remarks),
+                "prometheus": self.prometheus,
+            }
             self._report({"is": "ready", "pid": os.getpid(), "nodes": event.facts["pids"], **said})
             self._tell.close()
         self.samples.take(event.facts["pids"])

@@ -110,6 +110,10 @@ class Answers:
         return {"is": "ending", "pid": os.getpid(), "unfinished": left}
 
     async def _do_status(self, client: Client, request: Request) -> Message:
+        return {"is": "status", **await self.facts()}
+
+    async def facts(self) -> dict[str, Any]:
+        """How the array is (docs/service.md)."""
         service = self._service
         pids, shape = service.worker.keeper.pids, service.options.shape
         nodes = await asyncio.to_thread(service.samples.nodes, pids, shape)
@@ -119,7 +123,6 @@ class Answers:
         if task is not None:
             running = {"job": task.job, "frame": task.frame, "scene": task.request.scene, **service.now}
         return {
-            "is": "status",
             "name": service.name,
             "state": "finishing" if service.finishing and service.state == "ready" else service.state,
             "why": service.why,
@@ -127,8 +130,9 @@ class Answers:
             "started": service.started,
             "array": list(shape),
             "load": round(sum(loads) / len(loads), 3) if loads else None,
-            "memory": sum(node["memory"] for node in nodes),
+            "pss": sum(node["pss"] for node in nodes),
             "nodes": nodes,
+            "jobs": service.jobs.counts(),
             "queue": {"jobs": len(schedule.entries), "frames": schedule.frames_queued},
             "running": running,
             "frames": {name: service.counts[name] for name in ("done", "skipped", "failed")},
@@ -144,4 +148,5 @@ class Answers:
                 "trouble": service.jobs.trouble,
                 "remarks": list(service.jobs.remarks),
             },
+            "prometheus": service.prometheus,
         }

@@ -2,6 +2,9 @@
 
 A client must be of the same user (the kernel says so), and must present the secret of the token file in its first
 message, within GREETING_SECONDS. Others are refused and counted.
+
+MOST_CLIENTS may stay. Some more places are kept for those who only look after the array: who comes when it is full may ask
+what BRIEF names, and must not idle. So whoever crowds the door, the array can be asked how it is, and taken down.
 """
 
 from __future__ import annotations
@@ -28,6 +31,10 @@ from raygrid.node.errors import ProtocolError, RaygridError
 
 GREETING_SECONDS = 5.0
 MOST_CLIENTS = 200
+MOST_BRIEF = 32  # clients besides, for as long as their requests take
+BRIEF = ("status", "jobs", "cancel", "reset", "down")
+BRIEF_SECONDS = 5.0  # without a request, after which such a client has to go
+WAITING = 512  # that may wait at the door until the service comes to them
 PIECE = 1 << 16  # bytes read at a time
 MOST_UNSENT = LONGEST + (1 << 20)  # bytes that may wait for a client that does not read; then it is cut off
 CROWDED = 1 << 16  # bytes waiting for a client above which it is not told of progress
@@ -40,16 +47,18 @@ class Client:
     """A client that was let in.
 
     follows  jobs that it is told of
+    brief    whether it came when all places were taken
     rate     how often a second it wants to be told how each node stands; 0: not at all
     """
 
     def __init__(self, writer: asyncio.StreamWriter, on_slow: Callable[[], None]) -> None:
         self._writer, self._on_slow = writer, on_slow
         self.follows: set[int] = set()
+        self.brief = False
         self.rate = 0.0
 
     def send(self, message: Message, droppable: bool = False) -> None:
-        """Send without waiting; `droppable` messages only if the client keeps up."""
+        """Send without waiting; `droppable` messages only if the client keeps up. Raises ProtocolError for what cannot be."""
         transport = self._writer.transport
         unsent = transport.get_write_buffer_size()
         if self._writer.is_closing() or (droppable and unsent > CROWDED):
@@ -99,7 +108,7 @@ class Door:
         try:
             listener.bind(self._path)
             os.chmod(self._path, 0o600)
-            self._server = await asyncio.start_unix_server(self._come, sock=listener, backlog=64)
+            self._server = await asyncio.start_unix_server(self._come, sock=listener, backlog=WAITING)
         except BaseException:
             listener.close()
             raise
@@ -145,9 +154,11 @@ class Door:
                 await writer.wait_closed()
 
     async def _meet(self, client: Client, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        stranger = self._strange(writer)
-        if stranger:
-            self.refused[stranger] += 1
+        if not _is_ours(writer):
+            self.refused["user"] += 1
+            return
+        if len(self._tasks) > MOST_CLIENTS + MOST_BRIEF:
+            self._refuse(client, "crowd", self._crowded())
             return
         splitter = Splitter(LONGEST_GREETING)
         try:
@@ -163,18 +174,17 @@ class Door:
             self._refuse(client, "token", "it did not present the secret of this array")
             return
         splitter.longest = LONGEST
+        client.brief = not self._has_place()
         self.clients.add(client)
         client.send({"is": "welcome", "version": VERSION})
         await self._serve(client, splitter, reader)
 
-    def _strange(self, writer: asyncio.StreamWriter) -> str:
-        """Why this peer is not even listened to; "" if it is."""
-        peer = writer.get_extra_info("socket")
-        found = peer.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size)
-        _, user, _ = CREDENTIALS.unpack(found)
-        if user != os.geteuid():
-            return "user"
-        return "crowd" if len(self._tasks) > MOST_CLIENTS else ""
+    def _has_place(self) -> bool:
+        return sum(not client.brief for client in self.clients) < MOST_CLIENTS
+
+    def _crowded(self) -> str:
+        last = f"{', '.join(BRIEF[:-1])} and {BRIEF[-1]}"
+        return f"{len(self.clients)} clients are connected, wanted at most {MOST_CLIENTS}; it still answers {last}"
 
     def _knows(self, greeting: Message) -> bool:
         token = greeting.get("token")
@@ -183,18 +193,43 @@ class Door:
 
     def _refuse(self, client: Client, why: str, told: str) -> None:
         self.refused[why] += 1
-        client.send({"is": "error", "error": f"the array refused this client: {told}"})
+        client.send({"is": "error", "why": why, "error": f"the array refused this client: {told}"})
 
     async def _serve(self, client: Client, splitter: Splitter, reader: asyncio.StreamReader) -> None:
-        """Answer requests until the client is gone or sends what is none."""
+        """Answer requests until the client is gone, or sends what is no message: then nobody knows where the next begins."""
         try:
-            while (message := await _next(splitter, reader)) is not None:
-                client.send(await self._reply(client, read_request(message)))
+            while (message := await self._hear(client, splitter, reader)) is not None:
+                answer = await self._reply(client, message)
+                try:
+                    client.send(answer)
+                except ProtocolError as error:
+                    client.send({"is": "error", "error": f"the answer cannot be sent: {error}"})
         except ProtocolError as error:
             self._refuse(client, "request", str(error))
 
-    async def _reply(self, client: Client, request: Request) -> Message:
+    async def _hear(self, client: Client, splitter: Splitter, reader: asyncio.StreamReader) -> Message | None:
+        """The next message of a client, None if it is gone or has to go. Raises ProtocolError."""
+        while True:
+            try:
+                async with asyncio.timeout(BRIEF_SECONDS if client.brief else None):
+                    return await _next(splitter, reader)
+            except TimeoutError:
+                client.brief = not self._has_place()
+                if client.brief:
+                    self._refuse(client, "crowd", self._crowded())
+                    return None
+
+    async def _reply(self, client: Client, message: Message) -> Message:
         try:
+            try:
+                request = read_request(message)
+            except ProtocolError:
+                self.refused["request"] += 1
+                raise
+            client.brief = client.brief and not self._has_place()
+            if client.brief and request.do not in BRIEF:
+                self.refused["crowd"] += 1
+                return {"is": "error", "error": f"the array is crowded: {self._crowded()}"}
             return await self._answer(client, request)
         except RaygridError as error:
             return {"is": "error", "error": printable(str(error))}
@@ -206,12 +241,19 @@ def _packed(message: Message) -> bytes:
     """A message as bytes. One that cannot be sent is nobody's end: an error goes instead of an answer, nothing instead
     of an event."""
     try:
-        return pack(message)
+        return pack(message, escape=True)
     except (ProtocolError, ArithmeticError, TypeError, ValueError) as error:
         traceback.print_exception(error, file=sys.stderr)
         if message["is"] == "event":
             return b""
         return pack({"is": "error", "error": f"the answer cannot be sent: {printable(str(error), 300)}"})
+
+
+def _is_ours(writer: asyncio.StreamWriter) -> bool:
+    """Whether the peer is of the same user."""
+    found = writer.get_extra_info("socket").getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size)
+    _, user, _ = CREDENTIALS.unpack(found)
+    return bool(user == os.geteuid())
 
 
 async def _next(splitter: Splitter, reader: asyncio.StreamReader) -> Message | None:

@@ -143,10 +143,7 @@ def take_lock(directory: Path) -> int:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             os.close(descriptor)
-            record = read_record(directory)
-            pid = f" (process {record.pid})" if record is not None and record.alive else ""
-            name = directory.name
-            raise LockTaken(f"the array {name!r} runs already{pid}: raygrid down --name {name} ends it") from None
+            raise LockTaken(str(runs_already(directory))) from None
         if _is_at(descriptor, directory / LOCK):
             return descriptor
         os.close(descriptor)  # it was removed meanwhile: whoever comes next would lock another file
@@ -219,6 +216,21 @@ class Home:
     def close(self) -> None:
         """Give the directory up."""
         os.close(self._lock)
+
+
+def runs_already(directory: Path) -> ArrayError:
+    """What is told to who would launch an array of a name that is taken. Nothing in it ends an array: whose it is, is not known."""
+    name, record = directory.name, read_record(directory)
+    if record is None or not record.alive:
+        return ArrayError(
+            f"an array named {name!r} is just being launched or taken down by another process: "
+            f"raygrid status --name {name} shows it when it is up, another --name launches one beside it"
+        )
+    shape = "x".join(map(str, record.shape))
+    return ArrayError(
+        f"the array {name!r} ({shape}, process {record.pid}) runs already: "
+        f"raygrid status --name {name} shows it, another --name launches one beside it"
+    )
 
 
 def write_private(path: Path, text: str) -> None:

@@ -204,6 +204,13 @@ class Jobs:
         entries = sorted(self.schedule.entries.items())
         return rows + [entry_facts(entry, self._requests[job]) for job, entry in entries]
 
+    def counts(self) -> dict[str, int]:
+        """Jobs of the journal by state; none if it cannot be read."""
+        try:
+            return self.journal.counts()
+        except OutputError:
+            return {}
+
     def close(self) -> None:
         """Write what can be written, and close the journal."""
         self._flush()

@@ -8,6 +8,7 @@ import contextlib
 import json
 import os
 import signal
+from collections.abc import Iterator
 from typing import Any
 
 from raygrid.emulator.places import Place
@@ -17,9 +18,30 @@ from raygrid.host.standard_streams import ready_streams
 from raygrid.host.worker import Options
 from raygrid.node.errors import RaygridError
 
+FIGURES_SECONDS = 4.0  # for the service to say how it is
 
-async def _serve(home: Home, options: Options, place: Place, tell: Any) -> int:
-    return await Service(home, options, place, tell).run()
+
+async def _serve(home: Home, options: Options, place: Place, tell: Any, port: int | None) -> int:
+    if port is None:
+        return await Service(home, options, place, tell).run()
+    from raygrid.host.figures_server import Endpoint
+    from raygrid.host.prometheus import of_service
+
+    loop, services = asyncio.get_running_loop(), list[Service]()
+
+    def families() -> Iterator[Any]:
+        for service in services:
+            facts = asyncio.run_coroutine_threadsafe(service.answers.facts(), loop).result(FIGURES_SECONDS)
+            yield from of_service(facts)
+
+    endpoint = Endpoint(families, port)  # first: what keeps it from its port is said before anything is launched
+    try:
+        service = Service(home, options, place, tell)
+        service.prometheus = endpoint.port
+        services.append(service)
+        return await service.run()
+    finally:
+        await asyncio.to_thread(endpoint.close)  # a visit may wait for this thread
 
 
 def main() -> None:
@@ -32,6 +54,7 @@ def main() -> None:
     parser.add_argument("--patience", type=float, required=True)
     parser.add_argument("--programs", action="store_true")
     parser.add_argument("--outside", action="store_true")
+    parser.add_argument("--prometheus", type=int)
     given = parser.parse_args()
     signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)  # until there is somebody who cleans up
     tell = os.fdopen(os.dup(1), "wb")
@@ -44,7 +67,7 @@ def main() -> None:
         journal = home.directory / JOURNAL
         options = Options((nx, ny, nz), given.batch, given.patience, journal, given.programs, given.outside)
         with Place.create((1, 1, 1)) as place:
-            code = asyncio.run(_serve(home, options, place, tell))
+            code = asyncio.run(_serve(home, options, place, tell, given.prometheus))
         home.close()
     except (RaygridError, OSError) as error:
         with contextlib.suppress(OSError, ValueError):

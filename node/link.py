@@ -301,7 +301,10 @@ class Link:
 
     def _meet(self, order: dict[str, Any]) -> None:
         if order != self._peer:
-            raise ProtocolError(f"link {self.name}: HELLO came as {order}, wanted {self._peer}")
+            came = _shown(order, self._peer["machine"])
+            raise ProtocolError(
+                f"link {self.name}: HELLO came as {came}, wanted {_shown(self._peer, self._peer['machine'])}"
+            )
         self._heard = True
         self._post(MessageKind.ACK, b"")
 
@@ -353,3 +356,9 @@ class Link:
     def peer_left(self) -> bool:
         """Whether the peer has said BYE."""
         return self._bye_heard
+
+
+def _shown(hello: dict[str, Any], machine: str) -> str:
+    """A HELLO for an error, which many may read: by its machine's name a stranger could pass for a neighbour."""
+    rest = {key: value for key, value in hello.items() if key != "machine"}
+    return f"{rest} of {'this' if hello.get('machine') == machine else 'another'} machine"

@@ -14,14 +14,13 @@ A sample only reads. It goes up the line if there is room, and is dropped and co
     outputs   packets on the six ports' outputs and that to the host, not yet sent
     links     [port, messages that wait, messages sent, bytes sent, messages received] a link
     surfaces  held
-    memory    bytes by use, as in the record of a node, and resident (of the process), at most MEMORY_SECONDS old
+    memory    bytes by use, as in the record of a node, and pss (of the process), at most MEMORY_SECONDS old
     cpu       seconds of processor time since the process began
     dropped   words that this node could not say on its line
 """
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol
@@ -31,17 +30,17 @@ import numpy as np
 from .backlog import CLASSES
 from .errors import ProtocolError
 from .packets import KINDS, SIZE
+from .usage import proportional_memory
 from .walk import HOST, SELF
 
 if TYPE_CHECKING:
     from .processor import Processor
 
-MEMORY_SECONDS = 1.0  # between two looks at memory
+MEMORY_SECONDS = 5.0  # between two looks at memory, which take the kernel two milliseconds or more
 FASTEST = 100.0  # samples a second
 LOOKED_AT = 32_768  # packets of a queue; counting more would take a millisecond
 ARRIVALS = SELF + 1
 NEVER = float("inf")
-PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
 class Speaker(Protocol):
@@ -105,8 +104,8 @@ class Probe:
 
 
 def memory(processor: Processor) -> dict[str, int]:
-    """Bytes by use, and resident."""
-    return {**processor.tracer.memory, "resident": _resident()}
+    """Bytes by use, and of the process."""
+    return {**processor.tracer.memory, "pss": proportional_memory()}
 
 
 def sample(
@@ -149,12 +148,3 @@ def _waiting(processor: Processor) -> list[int]:
     places = np.flatnonzero(table)
     counted: list[int] = np.stack((places, table[places]), axis=1).ravel().tolist()
     return counted
-
-
-def _resident() -> int:
-    """Bytes of memory of this process, pages that it shares with its launcher included."""
-    try:
-        with open("/proc/self/statm", "rb") as file:
-            return int(file.read().split()[1]) * PAGE
-    except (OSError, ValueError, IndexError):
-        return 0

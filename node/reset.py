@@ -20,7 +20,7 @@ def read_reset(order: dict[str, Any], config: dict[str, Any]) -> dict[str, Any]:
     if type(epoch) is not int or not config["epoch"] < epoch <= LAST_EPOCH:
         raise ProtocolError(f"a reset came with epoch {epoch!r}, wanted one after {config['epoch']}")
     if not _is_name(machine):
-        raise ProtocolError(f"a reset came with machine {machine!r}, wanted a name")
+        raise ProtocolError(f"a reset came with a machine of type {type(machine).__name__}, wanted a short name")
     wanted = sorted(link["port"] for link in config["links"])
     if not isinstance(links, list) or not all(_is_link(link) for link in links):
         raise ProtocolError("a reset came with links that are none")

@@ -29,6 +29,14 @@ def peak_memory() -> int:
     return _sum_of("/proc/self/status", ("VmHWM:",))
 
 
+def proportional_memory(pid: int | str = "self") -> int:
+    """Bytes resident of a process, of pages that n processes share the n-th part (PSS); 0 if it is gone.
+
+    The only figure that can be added up over the nodes, which share most of what their launcher has read and compiled.
+    """
+    return _sum_of(f"/proc/{pid}/smaps_rollup", ("Pss:",))
+
+
 def private_memory() -> int:
     """Bytes resident that no other process shares, as of PRIVATE_SECONDS ago at most."""
     global _private

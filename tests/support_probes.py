@@ -17,7 +17,7 @@ def made(node=(0, 0, 0), time=1.0, cpu=0.0, phase="trace", walks=0, served=0, ep
     return Sample(
         node, epoch, number, time, phase, {"primary": served}, {}, {}, walks, 0,
         {"travellers": 1, "shadows": 2, "rays": 3}, {}, {"-x": 4}, {"+x": LinkSample(1, 2, 3, 4)}, 5,
-        {"resident": 1_000_000}, cpu, 0,
+        {"pss": 1_000_000}, cpu, 0,
     )  # fmt: skip
 
 

@@ -289,3 +289,58 @@ def test_the_example_of_the_documentation_works(tmp_path, monkeypatch):
     exec(code, names)
     assert names["radiance"].shape == (48, 64, 3)
     assert (tmp_path / "room.png").exists()
+
+
+# ---- threads ----
+
+
+def test_a_second_thread_is_refused_in_one_sentence_and_the_first_one_s_picture_is_right(machine):
+    refused, traced = [], threading.Event()
+
+    def other():
+        assert traced.wait(60.0)
+        for use in (lambda: machine.render(TINY, size=SIZE), machine.reset, lambda: machine.probe(1.0, print)):
+            with pytest.raises(
+                raygrid.ArrayError, match=r"^the array is in use by another thread, wanted one at a time: "
+            ):
+                use()
+        refused.append(True)
+
+    thread = threading.Thread(target=other)
+    thread.start()
+
+    def watch(phase, progress):
+        if phase == "trace" and not traced.is_set():
+            traced.set()
+            thread.join(60.0)
+
+    picture = machine.render(KINDS, size=SIZE, watch=watch)
+    assert refused
+    assert np.array_equal(picture.sums, alone(KINDS, size=SIZE).sums)
+    assert np.array_equal(machine.render(KINDS, size=SIZE).sums, picture.sums)
+
+
+def test_threads_may_use_it_one_after_the_other(machine):
+    pictures = []
+    for _ in range(3):
+        thread = threading.Thread(target=lambda: pictures.append(machine.render(KINDS, size=SIZE)))
+        thread.start()
+        thread.join(60.0)
+    assert [np.array_equal(picture.sums, alone(KINDS, size=SIZE).sums) for picture in pictures] == [True] * 3
+
+
+def test_an_array_that_another_thread_closes_gives_up_its_frame_and_leaves_nothing():
+    machine, traced, told = raygrid.launch("2x1x1"), threading.Event(), []
+
+    def other():
+        with pytest.raises(raygrid.ArrayError, match=r"^the array was closed by another thread while it was in use$"):
+            machine.render(KINDS, size=(3000, 3000), samples=64, watch=lambda *_: traced.set())
+        told.append(True)
+
+    thread = threading.Thread(target=other)
+    thread.start()
+    assert traced.wait(60.0)
+    machine.close()
+    thread.join(60.0)
+    assert told
+    machine.close()

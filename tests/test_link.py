@@ -75,9 +75,11 @@ def test_hello_says_who_and_ack_follows(wire):
 def test_a_stranger_is_refused(wire, said):
     link = Link(wire.ends[0], "left", 0, LEFT, RIGHT)
     wire.ends[1].send(message(HELLO, pack_order(said)))
-    with pytest.raises(ProtocolError, match=r"^link left: HELLO came as .* wanted .*'machine': 'm'"):
+    with pytest.raises(ProtocolError, match=r"^link left: HELLO came as .* wanted .* of this machine$") as caught:
         received(wire, link)
     assert link.state is State.NEW
+    assert "'m'" not in str(caught.value)  # a stranger who knew that name could pass for a neighbour
+    assert ("of another machine, " in str(caught.value)) == (said.get("machine") != "m")
 
 
 @pytest.mark.parametrize("kind", [kind for kind in MessageKind if kind != HELLO])

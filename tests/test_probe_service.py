@@ -18,7 +18,7 @@ from support_terminal import HIDE, SHOW, Terminal
 
 import raygrid
 from raygrid.host import probe_service
-from raygrid.host.client import Connection
+from raygrid.host.connection import Connection
 from raygrid.host.probe_record import replay
 from raygrid.host.probe_service import subscribe
 from raygrid.host.service_files import find

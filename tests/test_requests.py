@@ -1,5 +1,7 @@
 """Requests of clients: what is right comes through as it was meant, anything else is one clear error."""
 
+import re
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -37,44 +39,76 @@ def test_a_job_comes_back_from_the_journal_as_it_was():
     assert kept == request.model_copy(update={"follow": False})
 
 
+A_PATH = "wanted an absolute path of at most 4096 characters"
+A_SIZE = "wanted sides of 1 to 65536 and at most 268,435,456 pixels, such as 640x480"
+FRAMES = "wanted the first and the last of at most 100,000 frames, from 0 to 999999999"
+
+
 @pytest.mark.parametrize(
-    ("change", "pattern"),
+    ("change", "words"),
     [
-        ({"do": "fly"}, "fly"),
-        ({"scene": "s.nff"}, "scene: .*absolute path"),
-        ({"scene": "/s\0.nff"}, "scene: .*absolute path"),
-        ({"scene": "/" + "x" * 5000}, "scene: .*4096"),
-        ({"scene": 7}, "scene: .*string"),
-        ({"program": "torus.py"}, "program: .*absolute path"),
-        ({"turntable": {"frames": 0}}, "turntable.frames: .*greater"),
-        ({"turntable": {"frames": 3, "speed": 1}}, "turntable.speed: .*not permitted"),
-        ({"outputs": []}, "outputs: .*at least 1"),
-        ({"outputs": ["/o.png"] * 17}, "outputs: .*at most 16"),
-        ({"outputs": "/o.png"}, "outputs: .*list"),
-        ({"frames": [1, 2]}, "no place for the frame's number"),
-        ({"frames": [1, 2], "outputs": ["/%d/%d.png"]}, "2 places"),
-        ({"frames": [2, 1], "outputs": ["/%d.png"]}, "frames 2 to 1"),
-        ({"frames": [0, 100_000], "outputs": ["/%d.png"]}, "frames 0 to 100000"),
-        ({"frames": [-1, 1], "outputs": ["/%d.png"]}, "frames.0: "),
-        ({"frames": [1, 2, 3], "outputs": ["/%d.png"]}, "frames: "),
-        ({"settings": {"size": [0, 5]}}, "settings.size.0: "),
-        ({"settings": {"size": [5.5, 5]}}, "settings.size.0: "),
-        ({"settings": {"samples": True}}, "settings.samples: "),
-        ({"settings": {"samples": "4"}}, "settings.samples: "),
-        ({"settings": {"min_weight": float("nan")}}, "settings.min_weight: "),
-        ({"settings": {"split": "clever"}}, "settings.split: "),
-        ({"settings": {"speed": 9}}, "settings.speed: "),
-        ({"budget": 0}, "budget: "),
-        ({"transfer": "gamma"}, "transfer: "),
-        ({"client": "x" * 65}, "client: "),
-        ({"password": "x"}, "password: "),
+        ({"do": "fly"}, "do came as 'fly', wanted submit, follow, cancel, jobs, status, probe, reset or down"),
+        ({"do": ["submit"]}, "do came as ['submit'], wanted submit, follow, cancel, .*"),
+        ({"scene": "s.nff"}, f"scene came as 's.nff', {A_PATH}"),
+        ({"scene": "/s\0.nff"}, f"scene came as '/s\\x00.nff', {A_PATH}"),
+        ({"scene": "/" + "x" * 5000}, f"scene came as '/xxx.*xxx', {A_PATH}"),
+        ({"scene": 7}, f"scene came as 7, {A_PATH}"),
+        ({"program": "torus.py"}, f"program came as 'torus.py', {A_PATH}"),
+        ({"turntable": {"frames": 0}}, "turntable.frames came as 0, wanted a whole number from 1 to 1,000,000"),
+        ({"turntable": 5}, "turntable came as 5, wanted a number of frames"),
+        ({"turntable": {"frames": 3, "speed": 1}}, "the key 'turntable.speed' came, wanted only what submit knows"),
+        ({"outputs": []}, "outputs came as [], wanted 1 to 16 absolute paths of at most 4096 characters"),
+        ({"outputs": ["/o.png"] * 17}, "outputs came as ['/o.png', .*'/o.png'], wanted 1 to 16 absolute paths .*"),
+        ({"outputs": "/o.png"}, "outputs came as '/o.png', wanted 1 to 16 absolute paths .*"),
+        (
+            {"frames": [1, 2]},
+            "/out/a.png: the output has no place for the frame's number, wanted one, such as f_%04d.png",
+        ),
+        (
+            {"frames": [1, 2], "outputs": ["/%d/%d.png"]},
+            "/%d/%d.png: the output has 2 places for the frame's number, .*",
+        ),
+        ({"frames": [2, 1], "outputs": ["/%d.png"]}, "frames 2 to 1 came, wanted 1 to 100000 of them"),
+        ({"frames": [0, 100_000], "outputs": ["/%d.png"]}, "frames 0 to 100000 came, wanted 1 to 100000 of them"),
+        ({"frames": [-1, 1], "outputs": ["/%d.png"]}, f"frames came as [-1, 1], {FRAMES}"),
+        ({"frames": [1, 2, 3], "outputs": ["/%d.png"]}, f"frames came as [1, 2, 3], {FRAMES}"),
+        ({"frames": 5}, f"frames came as 5, {FRAMES}"),
+        ({"settings": {"size": [0, 5]}}, f"size came as 0x5, {A_SIZE}"),
+        ({"settings": {"size": [99999, 99999]}}, f"size came as 99999x99999, {A_SIZE}"),
+        ({"settings": {"size": [60000, 60000]}}, f"size came as 60000x60000, {A_SIZE}"),
+        ({"settings": {"size": [5.5, 5]}}, f"size came as [5.5, 5], {A_SIZE}"),
+        ({"settings": {"size": "5x5"}}, f"size came as '5x5', {A_SIZE}"),
+        ({"settings": {"samples": True}}, "samples came as True, wanted a whole number from 1 to 4294967296"),
+        ({"settings": {"samples": "4"}}, "samples came as '4', wanted a whole number from 1 to 4294967296"),
+        ({"settings": {"min_weight": float("nan")}}, "min_weight came as nan, wanted a number from 0 to 1e[+]30"),
+        ({"settings": {"split": "clever"}}, "split came as 'clever', wanted balanced or uniform"),
+        ({"settings": {"speed": 9}}, "the key 'settings.speed' came, wanted only what submit knows"),
+        ({"settings": []}, "settings came as [], wanted a map"),
+        ({"budget": 0}, "budget came as 0, wanted a whole number from 1 to 4294967295"),
+        ({"transfer": "gamma"}, "transfer came as 'gamma', wanted srgb or linear"),
+        ({"client": "x" * 65}, "client came as 'xxx.*xxx', wanted text of at most 64 characters"),
+        ({"password": "x"}, "the key 'password' came, wanted only what submit knows"),
     ],
 )
-def test_what_is_wrong_is_named(change, pattern):
-    with pytest.raises(ProtocolError, match=f"a request came that is none: .*{pattern}") as caught:
+def test_what_is_wrong_is_named_with_what_came_and_what_was_wanted(change, words):
+    with pytest.raises(ProtocolError) as caught:
         read_request(JOB | change)
-    assert "\n" not in str(caught.value)
+    assert fullmatch(words, str(caught.value)), str(caught.value)
     assert len(str(caught.value)) < 400
+
+
+def fullmatch(words, said):
+    """Whether a text is these words, in which .* stands for any others and [+] for a plus."""
+    return re.fullmatch(re.escape(words).replace(r"\.\*", ".*").replace(r"\[\+\]", "[+]"), said)
+
+
+def test_a_request_without_what_is_needed_names_it():
+    for message, words in (
+        ({}, "do is missing, wanted submit, .*"),
+        ({"do": "follow"}, "job is missing, wanted the .*"),
+    ):
+        with pytest.raises(ProtocolError, match=words):
+            read_request(message)
 
 
 values = (
@@ -92,3 +126,14 @@ def test_any_map_is_a_request_or_a_protocol_error(message, what):
     except ProtocolError:
         return
     assert request.do == what
+
+
+def test_the_bounds_are_those_of_whoever_keeps_them():
+    from raygrid.host import job, requests, shot
+    from raygrid.node import orders, packets, probe
+
+    assert requests.MAX_FRAMES == shot.MAX_FRAMES
+    assert requests.MAX_SIDE == orders.MAX_SIDE
+    assert requests.MAX_PIXELS == job.MAX_PIXELS
+    assert requests.MAX_DEPTH == packets.MAX_DEPTH
+    assert requests.FASTEST == probe.FASTEST

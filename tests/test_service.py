@@ -172,7 +172,7 @@ def test_status_says_how_the_array_is(name, array):
     for node in facts["nodes"]:
         assert os.path.exists(f"/proc/{node['pid']}")
         assert node["state"] in ("running", "waiting")
-        assert node["memory"] > 1_000_000
+        assert node["pss"] > 1_000_000
     assert facts["queue"] == {"jobs": 0, "frames": 0}
     text = on(name, "status").out
     assert re.match(rf"{name}: 2x1x1 ready, up for .*, service {record.pid}", text)

@@ -79,19 +79,89 @@ def test_who_says_nothing_is_sent_away(folder, monkeypatch):
     with_door(folder, work)
 
 
-def test_who_comes_when_it_is_full_is_sent_away(folder, monkeypatch):
+def asked(peer, folder, *requests):
+    """Greet, send requests, and wait for as many answers, that to the greeting first."""
+    peer.sendall(greeting(folder) + b"".join(map(pack, requests)))
+    return answers(peer, 1 + len(requests))
+
+
+def answers(peer, count):
+    splitter, found = Splitter(), []
+    while len(found) < count:
+        piece = peer.recv(1)  # no byte of the next one
+        assert piece, f"the door closed after {found}"
+        splitter.feed(piece)
+        while (message := splitter.next()) is not None:
+            found.append(message)
+    return found
+
+
+def test_who_comes_when_it_is_full_may_look_after_the_array_and_must_not_stay(folder, monkeypatch):
     monkeypatch.setattr(service_door, "MOST_CLIENTS", 2)
+    monkeypatch.setattr(service_door, "BRIEF_SECONDS", 0.3)
 
     def work(door, _):
         inside = [connected(folder) for _ in range(2)]
         for peer in inside:
-            peer.sendall(greeting(folder) + pack({"do": "status"}))
-            assert peer.recv(1)
+            assert [said["is"] for said in asked(peer, folder, {"do": "status"})] == ["welcome", "status"]
         with connected(folder) as late:
-            assert received(late) == []
-        assert door.refused["crowd"] == 1
+            said = asked(late, folder, {"do": "status"}, {"do": "follow", "job": 1}, {"do": "down"})
+            assert [answer["is"] for answer in said] == ["welcome", "status", "error", "down"]
+            assert "3 clients are connected, wanted at most 2; it still answers status, jobs, " in said[2]["error"]
+            (last,) = received(late)  # it has idled, and has to go
+            assert "wanted at most 2" in last["error"]
+        assert door.refused["crowd"] == 2
+        for peer in inside:  # who was there before is not troubled
+            peer.sendall(pack({"do": "follow", "job": 1}))
+            assert answers(peer, 1)[0]["is"] == "follow"
+            peer.close()
+
+    with_door(folder, work)
+
+
+def test_who_came_when_it_was_full_gets_the_place_of_one_that_leaves(folder, monkeypatch):
+    monkeypatch.setattr(service_door, "MOST_CLIENTS", 1)
+    monkeypatch.setattr(service_door, "BRIEF_SECONDS", 20.0)
+
+    def work(door, _):
+        with connected(folder) as late:
+            with connected(folder) as first:
+                asked(first, folder)
+                asked(late, folder)
+            while len(door.clients) > 1:  # until the door has noticed that the first has gone
+                late.sendall(pack({"do": "status"}))
+                answers(late, 1)
+            late.sendall(pack({"do": "follow", "job": 1}))
+            assert answers(late, 1)[0]["is"] == "follow"
+
+    with_door(folder, work)
+
+
+def test_who_comes_when_no_place_is_kept_is_told_so(folder, monkeypatch):
+    monkeypatch.setattr(service_door, "MOST_CLIENTS", 1)
+    monkeypatch.setattr(service_door, "MOST_BRIEF", 1)
+
+    def work(door, _):
+        inside = [connected(folder) for _ in range(2)]
+        for peer in inside:
+            asked(peer, folder)
+        with connected(folder) as late:
+            (said,) = received(late)
+            assert (said["is"], said["why"]) == ("error", "crowd")
         for peer in inside:
             peer.close()
+
+    with_door(folder, work)
+
+
+def test_a_request_that_is_none_is_answered_and_the_next_one_too(folder):
+    def work(door, _):
+        with connected(folder) as peer:
+            bad = {"do": "submit", "scene": "/a.nff", "outputs": ["/a.png"], "settings": {"size": [0, 1]}}
+            said = asked(peer, folder, bad, {"do": "status"}, {"do": "fly"}, {"do": "status"})
+            assert [answer["is"] for answer in said] == ["welcome", "error", "status", "error", "status"]
+            assert said[1]["error"].startswith("size came as 0x1, wanted sides of 1 to ")
+        assert door.refused["request"] == 2
 
     with_door(folder, work)
 
@@ -126,6 +196,34 @@ def test_who_does_not_read_is_cut_off_and_progress_is_dropped_first(folder, monk
     async def flood(client, droppable):
         for _ in range(400):
             client.send({"is": "event", "text": "x" * 10_000}, droppable)
+
+    with_door(folder, work)
+
+
+def test_an_answer_with_a_path_that_is_no_utf_8_can_be_read(folder, monkeypatch):
+    async def told(self, client, message):
+        return {"is": "status", "journal": "/tmp/\udcff"}
+
+    monkeypatch.setattr(Door, "_reply", told)
+
+    def work(door, _):
+        with connected(folder) as peer:
+            assert asked(peer, folder, {"do": "status"})[1]["journal"] == "/tmp/\\udcff"
+
+    with_door(folder, work)
+
+
+def test_an_answer_that_is_too_long_is_told_and_the_next_one_comes(folder, monkeypatch):
+    async def told(self, client, message):
+        return {"is": "jobs", "text": "x" * (9 << 20 if message["do"] == "jobs" else 1)}
+
+    monkeypatch.setattr(Door, "_reply", told)
+
+    def work(door, _):
+        with connected(folder) as peer:
+            said = asked(peer, folder, {"do": "jobs"}, {"do": "status"})
+            assert [answer["is"] for answer in said] == ["welcome", "error", "jobs"]
+            assert "the answer cannot be sent: a message of 9437" in said[1]["error"]
 
     with_door(folder, work)
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support_cases import steady
 
-from raygrid.host.wire import DEEPEST, LENGTH, LONGEST, MOST_ITEMS, Splitter, pack, unpack
+from raygrid.host.wire import DEEPEST, LENGTH, LONGEST, MOST_ITEMS, Splitter, pack, unpack, unsendable
 from raygrid.node.errors import ProtocolError
 
 plain = st.recursive(
@@ -93,3 +93,22 @@ def test_a_length_beyond_the_longest_is_refused_before_the_message_has_come():
 def test_a_message_that_is_too_long_is_not_sent():
     with pytest.raises(ProtocolError, match="was to be sent"):
         pack({"k": "x" * LONGEST})
+
+
+def test_text_that_is_no_utf_8_is_refused_or_escaped():
+    path = "/tmp/\udcff.png"
+    with pytest.raises(ProtocolError, match=r"a message cannot be sent: .*surrogates"):
+        pack({"path": path})
+    assert unpack(pack({"path": path}, escape=True)[4:]) == {"path": "/tmp/\\udcff.png"}
+    assert unsendable({"path": path}) == f"path came as {path!r}, wanted a name in UTF-8"
+
+
+keys = st.text(st.characters(), max_size=4) | st.integers()
+
+
+@given(st.dictionaries(keys, plain | st.binary(max_size=3) | st.integers() | st.text(st.characters()), max_size=4))
+def test_what_is_not_said_to_be_unsendable_comes_back_as_it_was(message):
+    if unsendable(message):
+        assert unsendable(message).isprintable()
+    else:
+        assert unpack(pack(message)[4:]) == message
