@@ -21,7 +21,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from raygrid.emulator.places import LONGEST_PATH
-from raygrid.host.frames import path_of
+from raygrid.host.frames import absolute, check_job, is_played, path_of
 from raygrid.host.service_files import (
     DEFAULT_NAME,
     SOCKET,
@@ -206,7 +206,8 @@ class Service:
         """Queue a job and return at once. Paths may be relative to the current directory.
 
         scene     path of the scene's file, which the service reads when the job's turn comes
-        output    path of a picture or a .npy, or several; with several frames each has a %04d for the number
+        output    path of a picture or a .npy, or several; with several frames each has a %04d for the number, or is a
+                  .gif, .webp or .mp4 of them all; %% is a %
         frames    first and last; None: all of a turntable, else one frame without number
         stats     path of the statistics, with %04d likewise
         resume    skip frames whose files are there, whole, and of this very job
@@ -214,21 +215,23 @@ class Service:
         turntable  so many frames make a shot of a still scene: the camera goes once round; `turn_scene`: the scene turns
         program   path of a program for the nodes, for an array that was launched to take it
         settings  size, samples, depth, min_weight, highlights, split; see `raygrid.host.job.Settings`
-        Raises TypeError for another setting, ArrayError for what the service refuses.
+        Raises TypeError for another setting, OutputError for names that cannot be, ArrayError for what the service refuses.
         """
         unknown = set(settings) - set(SETTINGS)
         if unknown:
             raise TypeError(f"the settings {sorted(unknown)} came, wanted some of {', '.join(SETTINGS)}")
         if frames is None and turntable is not None:
             frames = 1, turntable
-        outputs = [output] if isinstance(output, str | os.PathLike) else list(output)
+        outputs = [absolute(path) for path in ([output] if isinstance(output, str | os.PathLike) else output)]
+        figures = None if stats is None else absolute(stats)
+        check_job(outputs, figures, frames)
         request: Message = {
             "do": "submit",
             "scene": os.path.abspath(scene),
             "settings": {name: _plain(value) for name, value in settings.items() if value is not None},
             "frames": None if frames is None else list(frames),
-            "outputs": [os.path.abspath(path) for path in outputs],
-            "stats": None if stats is None else os.path.abspath(stats),
+            "outputs": outputs,
+            "stats": figures,
             "transfer": transfer,
             "resume": resume,
             "client": self._client if client is None else client,
@@ -256,9 +259,7 @@ class Service:
                 watch(event)
         if end["state"] != "done":
             raise ArrayError(f"job {job} {_said(end)}")
-        numbers = [None] if facts["first"] is None else range(facts["first"], facts["last"] + 1)
-        files = tuple(path_of(pattern, number) for number in numbers for pattern in facts["outputs"])
-        return Result(job, files, end["frames"], end["skipped"])
+        return Result(job, tuple(_files_of(facts)), end["frames"], end["skipped"])
 
     def cancel(self, jobs: Sequence[int] | None) -> list[int]:
         """Cancel jobs, None: all; returns those that had not ended. Raises ArrayError if one of them is not known."""
@@ -327,6 +328,16 @@ def wait_gone(record: Record, timeout: float | None = None) -> bool:
     finally:
         os.close(descriptor)
     return not record.alive
+
+
+def _files_of(facts: Message) -> Iterator[str]:
+    """All files of a job, in the order of its frames; those that play after the last."""
+    shot = facts["first"] is not None
+    numbers = range(facts["first"], facts["last"] + 1) if shot else [None]
+    played = [pattern for pattern in facts["outputs"] if is_played(pattern, shot)]
+    for number in numbers:
+        yield from (path_of(pattern, number) for pattern in facts["outputs"] if pattern not in played)
+    yield from (path_of(pattern, None) for pattern in played)
 
 
 def _plain(value: Any) -> Any:

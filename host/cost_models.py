@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, Strict, ValidationError
 
+from raygrid.host.inputs import note
 from raygrid.host.scene_builder import shown
 from raygrid.host.scene_toml_errors import Key, located, shown_key
 from raygrid.node.errors import CostError
@@ -172,6 +173,7 @@ def load_cost_model(name: str) -> CostModel:
         text = (resources.files("raygrid.emulator") / "costs" / f"{name}.toml").read_text("utf-8")
         return CostModel(name, _checked(Path(f"{name}.toml"), text))
     path = Path(name)
+    note(path, "the same file as the cost model")
     try:
         with path.open("rb") as file:
             data = file.read(LARGEST_FILE + 1)

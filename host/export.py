@@ -18,9 +18,10 @@ import numpy as np
 
 from raygrid.host.cameras import Camera, Span
 from raygrid.host.export_surfaces import MaterialWriter, surface_lines, vector
+from raygrid.host.inputs import check_outputs, note
 from raygrid.host.job import DEFAULT_DEPTH, DEFAULT_SIZE
 from raygrid.host.load import load_scene
-from raygrid.host.outputs import check_different, check_path, write_whole
+from raygrid.host.outputs import check_path, write_whole
 from raygrid.host.scene import Scene
 from raygrid.node.errors import SceneError
 from raygrid.node.frame import DIRECTIONAL
@@ -41,7 +42,8 @@ def export_file(
     """
     path = Path(scene).stem + ".pov" if output is None else str(output)
     check_path(path)
-    check_different(str(scene), [path])
+    note(scene, "the same file as the scene")
+    check_outputs([path])
     export_pov(load_scene(scene), path, depth, highlights)
     return path
 

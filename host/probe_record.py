@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from typing import IO, Any
 
 from raygrid.emulator.samples import Sample
-from raygrid.host.outputs import check_path
+from raygrid.host.inputs import check_kept, note
+from raygrid.host.outputs import check_named, open_now
 from raygrid.host.probe_sums import NodeState, sample_record
 from raygrid.node.errors import OutputError
 
@@ -41,10 +42,11 @@ class Record:
     """
 
     def __init__(self, path: str, shape: tuple[int, int, int], rate: float) -> None:
-        check_path(path)
+        check_named(path)
+        check_kept(path)
         self._path = path
         try:
-            self._file: IO[str] | None = open(path, "w", buffering=1, encoding="utf-8")  # noqa: SIM115  (closed by `close`)
+            self._file: IO[str] | None = open_now(path)
         except OSError as error:
             raise OutputError(f"{path}: the file cannot be written ({error.strerror})") from None
         self._write(json.dumps(header(shape, rate)))
@@ -97,6 +99,7 @@ def replay(path: str) -> Replay:
     from pydantic import TypeAdapter, ValidationError
 
     reader = TypeAdapter(Sample)
+    note(path, "the same file as the recording")
     try:
         file = open(path, encoding="utf-8")  # noqa: SIM115  (closed by its reader, or below)
     except OSError as error:

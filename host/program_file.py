@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 from pathlib import Path
 
+from raygrid.host.inputs import note
 from raygrid.host.scene_builder import read_bytes
 from raygrid.node.errors import ProtocolError, SceneError
 from raygrid.node.programs import Compiled, Program, make_program, program_order
@@ -15,6 +16,7 @@ def read_program(path: str | Path) -> Program:
     file = Path(path)
     if file.suffix.lower() != ".py":
         raise SceneError(f"{path}: the program has the suffix {file.suffix!r}, wanted .py")
+    note(file, "the same file as the program")
     try:
         return make_program(file.stem, read_bytes(file).decode("utf-8"))
     except UnicodeDecodeError as error:

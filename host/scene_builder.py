@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from raygrid.host.inputs import note
 from raygrid.host.scene_polygons import (
     Ints,
     extents,
@@ -37,6 +38,7 @@ MOST_BENT_MOVING = 2.0**-21
 
 def read_bytes(path: Path) -> bytes:
     """The contents of a file; raises SceneError if there is none, or if it cannot be read."""
+    note(path)
     sources = recording()
     look = look_at(path) if sources is not None else None
     try:

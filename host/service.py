@@ -173,8 +173,9 @@ class Service:
         self._counts["skipped" if facts["skipped"] else "done"] += 1
         if not entry.ended:
             seconds = facts["seconds"].get("whole", 0.0)
-            self._jobs.frame_done(entry, facts["skipped"], seconds, facts["files"])
+            self._jobs.frame_done(entry, facts["skipped"], seconds, facts["files"] | facts["played"])
             about = {"frame": task.frame, "files": list(facts["files"]), "skipped": facts["skipped"]}
+            about["played"] = list(facts["played"])
             self._tell_followers(entry.job, {"what": "frame", **about, "seconds": facts["seconds"]})
             self._tell_end(entry)
         self._next()
@@ -236,7 +237,8 @@ class Service:
         entry, frame = found
         request = self._jobs.request(entry.job)
         self._serial += 1
-        self._task = Task(self._serial, entry.job, None if request.frames is None else frame, request)
+        number = None if request.frames is None else frame
+        self._task = Task(self._serial, entry.job, number, request, last=not entry.todo)
         self._entry = entry
         self._jobs.begun(entry)
         self._worker.give(self._task)

@@ -5,7 +5,6 @@ The service hands it tasks and interrupts it; it answers by events, each handed 
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import queue
 import sys
@@ -17,7 +16,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from raygrid.host.frames import path_of
 from raygrid.host.keeper import Keeper, NoArray
 from raygrid.node.errors import RaygridError
 
@@ -28,6 +26,7 @@ if TYPE_CHECKING:
     from raygrid.host.requests import Submit
     from raygrid.host.scene_store import Ready, SceneStore
 
+FILMS = "films"  # in the state directory: frames that wait to be played, a directory a job
 LAUNCH_SECONDS = 5.0  # between two attempts to launch an array that could not be
 LOOK_SECONDS = 0.25  # between two looks at an array that has nothing to do
 TELL_SECONDS = 0.1  # between two reports of progress
@@ -39,12 +38,13 @@ class Interrupted(Exception):
 
 @dataclass(frozen=True)
 class Task:
-    """A frame to be rendered. `frame` is None if the job names no frames."""
+    """A frame to be rendered. `frame` is None if the job names no frames; `last`: no other of the job is left."""
 
     serial: int
     job: int
     frame: int | None
     request: Submit
+    last: bool = True
 
 
 class Event(NamedTuple):
@@ -56,7 +56,8 @@ class Event(NamedTuple):
     begun                              a task was begun
     note      text                     a remark on its scene
     moved     phase, part, in_flight   how far it is; `part` of its rays from 0 to 1
-    done      files, skipped, seconds  its files are there, path -> digest
+    done      files, played, skipped, seconds  its files are there, path -> digest; `played`: those that hold all
+                                       frames of the job, if they were written now
     failed    why                      it cannot be done
     interrupted                        it was given up, as asked
     fault     what                     the array failed and was repaired
@@ -111,6 +112,8 @@ class Worker(threading.Thread):
         self.keeper.on_sample = lambda sample: post(Event("sample", None, {"sample": sample}))
         self._store: SceneStore | None = None
         self._journal: Journal | None = None
+        self._films = options.journal.parent / FILMS
+        self._checked = -1  # the job whose names of files were looked at last
 
     # --- what the service says; callable from its thread ----------------------------------------------
 
@@ -166,12 +169,22 @@ class Worker(threading.Thread):
             try:
                 given = self._inbox.get(timeout=LOOK_SECONDS if self.keeper.there else LAUNCH_SECONDS)
             except queue.Empty:
+                self._sweep()
                 self._repair(self.keeper.check)
                 continue
             if isinstance(given, Task):
+                if given.job != self._checked:
+                    self._sweep()
                 self._do(given)
             elif given == "reset" and self._repair(self.keeper.reset):
                 self._post(Event("reset"))
+
+    def _sweep(self) -> None:
+        """Remove what waits for jobs that have ended."""
+        from raygrid.host.job_files import sweep_films
+
+        if self._journal is not None and self._films.is_dir():
+            sweep_films(self._films, self._journal)
 
     def _repair(self, work: Callable[[], None]) -> bool:
         """Look after the array; whether it can be used."""
@@ -215,55 +228,46 @@ class Worker(threading.Thread):
     # --- one frame ------------------------------------------------------------------------------------
 
     def _frame(self, task: Task) -> Event:
+        from raygrid.host.inputs import noted
+        from raygrid.host.job_files import JobFiles
         from raygrid.host.load import check_allowed
-        from raygrid.host.outputs import check_path, check_picture_path, check_side
 
         assert self._store is not None
+        assert self._journal is not None
         begun = time.perf_counter()
-        request = task.request
-        files = [path_of(pattern, task.frame) for pattern in request.outputs]
-        stats = None if request.stats is None else path_of(request.stats, task.frame)
+        request, recorded = task.request, self._journal.is_recorded
         self._tell(task, "read", 0.0, 0)
         check_allowed(request.program, self._options.programs)  # a job of the journal may have had another array
         ready = self._store.frame(request.wanted(), task.frame)
-        self._note(task, ready.remarks)
-        digest = ready.digest(task.frame, request.transfer)
-        size = ready.job.frame.width, ready.job.frame.height
-        facts = {"files": dict.fromkeys(files, digest), "skipped": False, "stats": stats}
-        if request.resume and self._there(files, stats, digest, size):
-            return Event("done", task, facts | {"skipped": True, "seconds": {}})
-        for file in files:
-            check_picture_path(file)
-            check_side(file, *size)
-        if stats is not None:
-            check_path(stats)
-        picture = self.keeper.render(ready, request.budget, self._watch(task, ready))
-        self._tell(task, "write", 1.0, 0)
-        self._write(picture, files, stats, request.transfer, digest)
+        files = JobFiles(request, task.frame, ready, self._films / str(task.job))
+        self._note(task, (*ready.remarks, *files.remarks))
+        with noted() as inputs:
+            files.note(inputs)
+            if task.job != self._checked:
+                files.check_all()
+                self._checked = task.job
+            skipped = request.resume and files.are_there(recorded)
+            seconds: dict[str, float] = {}
+            if not skipped:
+                files.check()
+                picture = self._picture(task, ready)
+                self._tell(task, "write", 1.0, 0)
+                files.write(picture)
+                seconds = dict(picture.stats["wall_seconds"]) | {"whole": round(time.perf_counter() - begun, 6)}
+            played = files.play(lambda number: self._again(task, number), recorded) if task.last else {}
+        facts = {"files": files.digests, "played": played, "skipped": skipped, "seconds": seconds}
+        return Event("done", task, facts)
+
+    def _picture(self, task: Task, ready: Ready) -> Picture:
+        picture = self.keeper.render(ready, task.request.budget, self._watch(task, ready))
         if picture.stats["total"]["hits"] == 0:
             self._note(task, ["no ray of the camera meets a surface: the picture shows the background only"])
-        seconds = dict(picture.stats["wall_seconds"]) | {"whole": round(time.perf_counter() - begun, 6)}
-        return Event("done", task, facts | {"seconds": seconds})
+        return picture
 
-    def _there(self, files: list[str], stats: str | None, digest: str, size: tuple[int, int]) -> bool:
-        from raygrid.host.whole import is_whole
-
-        assert self._journal is not None
-        journal = self._journal
-        if stats is not None and not Path(stats).is_file():
-            return False
-        with contextlib.suppress(RaygridError):  # a journal that cannot be read vouches for nothing
-            return all(is_whole(file, digest, *size, journal.is_recorded) for file in files)
-        return False
-
-    def _write(self, picture: Picture, files: list[str], stats: str | None, transfer: str, digest: str) -> None:
-        from raygrid.host.stats import save_stats
-        from raygrid.host.whole import KEYWORD
-
-        for file in files:
-            picture.save(file, transfer, {KEYWORD: digest})
-        if stats is not None:
-            save_stats(stats, picture.stats)
+    def _again(self, task: Task, number: int) -> Picture:
+        """A frame of a file that plays which was done, and has gone meanwhile."""
+        assert self._store is not None
+        return self._picture(task, self._store.frame(task.request.wanted(), number))
 
     def _watch(self, task: Task, ready: Ready) -> Callable[[str, Progress | None], None]:
         def watch(phase: str, now: Progress | None) -> None:
