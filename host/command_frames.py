@@ -122,8 +122,8 @@ def _check_names(request: Request) -> _Files:
     from raygrid.host.command_render import note_read
 
     check_patterns(request.outputs, request.stats, request.frames, True)
-    played = [output for output in request.outputs if is_played(output, True)]
-    single = [output for output in request.outputs if output not in played]
+    single = [pattern for pattern in request.outputs if not is_played(pattern, True)]
+    played = [path_of(pattern, None) for pattern in request.outputs if is_played(pattern, True)]
     for output in played:
         check_played(output)
     largest = LARGEST_NUMBER if request.frames is None else request.frames[1]
