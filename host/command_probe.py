@@ -64,7 +64,10 @@ def run_probe(request: Request) -> None:
 def _open(request: Request) -> Iterator[Feed]:
     if request.replay is not None:
         read = replay(request.replay)
-        yield Feed(read.shape, read.rate, read.samples)
+        try:
+            yield Feed(read.shape, read.rate, read.samples)
+        finally:
+            read.close()
         return
     from raygrid.host.probe_service import subscribe
     from raygrid.host.service_files import DEFAULT_NAME

@@ -7,7 +7,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from raygrid.host.inputs import note
 from raygrid.node.errors import ArrayError, SceneError
 
 if TYPE_CHECKING:
@@ -52,7 +51,6 @@ def load_scene(path: str | Path) -> Scene:
     if reader is None:
         came = f"the suffix {path.suffix!r}" if path.suffix else "no suffix"
         raise SceneError(f"{path}: the file has {came}, wanted one of: {' '.join(READERS)}")
-    note(path, "the same file as the scene")
     module, function = reader
     scene: Scene = getattr(import_module(f"raygrid.host.{module}"), function)(path)
     return scene

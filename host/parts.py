@@ -24,7 +24,7 @@ DIRECTORY_NAME = re.compile(rf"{re.escape(DIRECTORY)}[0-9a-f]{{{2 * CHANCE}}}")
 Kind = Callable[[int], bool]  # by the mode of a file
 TRIES = 100  # a file system whose files have no numbers that stay would try for ever
 
-_swept: set[str] = set()  # folders that this process has looked through
+_swept: set[tuple[str, str]] = set()  # folders that this process has looked through, and for what
 
 
 @contextlib.contextmanager
@@ -67,8 +67,8 @@ def sweep(folder: str, name: re.Pattern[str], kind: Kind) -> list[str]:
 
 def _sweep_once(folder: str, name: re.Pattern[str], kind: Kind) -> None:
     """A folder may hold a hundred thousand frames: it is looked through once, not for each."""
-    if folder not in _swept:
-        _swept.add(folder)
+    if (folder, name.pattern) not in _swept:
+        _swept.add((folder, name.pattern))
         sweep(folder, name, kind)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import IO, Any
 
@@ -87,11 +87,12 @@ class Record:
 
 @dataclass(frozen=True)
 class Replay:
-    """A recording: of an array of this shape, at this rate."""
+    """A recording: of an array of this shape, at this rate. `close` it if not all samples are taken."""
 
     shape: tuple[int, int, int]
     rate: float
     samples: Iterator[Sample]
+    close: Callable[[], None]
 
 
 def replay(path: str) -> Replay:
@@ -120,7 +121,7 @@ def replay(path: str) -> Replay:
         nx, ny, nz = head["array"]
         if head["is"] != "array" or head["version"] != VERSION or not all(_is_side(side) for side in (nx, ny, nz)):
             raise ValueError(head)
-        return Replay((nx, ny, nz), float(head["rate"]), samples())
+        return Replay((nx, ny, nz), float(head["rate"]), samples(), file.close)
     except (OSError, ValueError, KeyError, TypeError):
         file.close()
         raise OutputError(f"{path}: the first line is not that of a recording of probes, version {VERSION}") from None

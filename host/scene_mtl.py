@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from raygrid.host.inputs import note
 from raygrid.host.scene_builder import Table, material, read_bytes, shown
 from raygrid.host.textures import Texture, read_picture
 from raygrid.node.errors import SceneError
@@ -101,6 +102,7 @@ def _texture(path: Path, words: list[bytes] | None, remarks: list[str]) -> Textu
     # Options come before the name; then only the last word can be told from them.
     name = (words[-1] if words[0].startswith(b"-") else b" ".join(words)).decode("utf-8", "surrogateescape")
     file = path.parent / name.replace("\\", "/")
+    note(file)
     if not file.is_file():
         remarks.append(f"the texture {shown(name)} is missing: plain colour used")
         return None

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from raygrid.host.inputs import note
 from raygrid.host.scene_builder import MAX_COORDINATE, SceneBuilder, plural, read_bytes, shown
 from raygrid.host.scene_mtl import GREY, WHITE, Mtl, read_mtl
 from raygrid.host.scene_polygons import Ints, triangulate
@@ -195,6 +196,7 @@ class ObjReader:
                 [whole] if whole.is_file() else [self.path.parent / n.decode("utf-8", "replace") for n in names.split()]
             )
             for file in files:
+                note(file)
                 if file.is_file():
                     library.update(read_mtl(file, builder.remarks))
                 else:
