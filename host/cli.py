@@ -215,9 +215,10 @@ def export(scene: str, depth: int | None, highlights: bool | None, output: str |
     POV-Ray renders the same picture from it, by the same rules; the head of the file says what differs.
     """
     from raygrid.host.export import export_file
-    from raygrid.host.outputs import write_result
+    from raygrid.host.outputs import write_names
 
-    write_result(export_file(scene, output, depth, highlights))
+    written = [export_file(scene, output, depth, highlights)]
+    write_names(written, written)
 
 
 cli_machine.add_commands(cli)
