@@ -84,7 +84,7 @@ def on(name: str, *arguments: str, **options: Any) -> Outcome:
 
 @functools.cache
 def shot_of(scene: Path, frames: int) -> Path:
-    """A file of a shot of so many frames in which nothing of the scene moves: all have the bits of the scene alone."""
+    """A file of a shot of so many frames in which nothing of the scene moves: all have the same bits."""
     folder = Path(tempfile.mkdtemp())
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     shutil.copy(scene, folder)

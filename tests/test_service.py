@@ -49,7 +49,7 @@ def test_submit_names_the_files_as_it_follows(name, tmp_path):
     outcome = on(name, "submit", shot, *SMALL, "--frames", "3-5", "-o", "f_%02d.npy", cwd=tmp_path)
     assert outcome == (0, "f_03.npy\nf_04.npy\nf_05.npy\n", "")
     for frame in (3, 4, 5):
-        assert np.array_equal(np.load(tmp_path / f"f_0{frame}.npy"), sums(TINY))
+        assert np.array_equal(np.load(tmp_path / f"f_0{frame}.npy"), sums(shot_of(TINY, 7)))
     assert on(name, "submit", "tiny.nff", *SMALL, cwd=tmp_path).out == "tiny.png\n"
     assert on(name, "submit", shot, *SMALL, "--frames", "7", cwd=tmp_path).out == "tiny_0007.png\n"
 
@@ -81,7 +81,7 @@ def test_several_clients_at_once_get_their_own_frames(name, tmp_path):
     for thread in threads:
         thread.join()
     for k, scene in enumerate((TINY, KINDS, TINY)):
-        wanted = sums(scene, **settings[k])
+        wanted = sums(shot_of(scene, 4), **settings[k])
         assert len(results[k].files) == 4
         for file in results[k].files:
             assert np.array_equal(np.load(file), wanted)
@@ -305,7 +305,7 @@ def test_another_array_runs_beside_it_and_ends_when_its_jobs_are_done(name, arra
         assert second.pid == said["pid"] != array.pid
         second.submit(shot_of(TINY, 5), output=tmp_path / "a_%d.npy", frames=(1, 5), size=SIZE)
         assert second.down(finish=True) >= 0
-    assert np.array_equal(np.load(tmp_path / "a_5.npy"), sums(TINY))
+    assert np.array_equal(np.load(tmp_path / "a_5.npy"), sums(shot_of(TINY, 5)))
     assert process_state(said["pid"]) in ("", "Z")
     one_line(on("second", "down"), 1, "raygrid: no array named 'second' runs: .*")
 
