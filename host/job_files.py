@@ -31,16 +31,16 @@ Files = dict[str, str]
 
 
 class JobFiles:
-    """The files of one frame of a job.
+    """The files of one frame of a job; those that hold all frames are made of what waits in its reel.
 
     single  those of this frame alone; stats: its statistics, or None
     played  those that hold all frames
     """
 
-    def __init__(self, request: Submit, frame: int | None, ready: Ready, waiting: Path) -> None:
+    def __init__(self, request: Submit, frame: int | None, ready: Ready, reel: Reel) -> None:
         shot = request.frames is not None
         self._request, self._frame, self._ready = request, frame, ready
-        self._reel = Reel(str(waiting))
+        self._reel = reel
         played = [pattern for pattern in request.outputs if is_played(pattern, shot)]
         self._patterns = [pattern for pattern in request.outputs if pattern not in played]
         self.single = [path_of(pattern, frame) for pattern in self._patterns]

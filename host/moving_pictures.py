@@ -10,7 +10,8 @@ import contextlib
 import os
 import shutil
 import subprocess
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from raygrid.host.inputs import check_kept
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 GIF_TICK = 10  # milliseconds; a GIF counts in these, and players take fewer than two of them for ten
 FFMPEG_SECONDS = 60.0  # for it to end, once it has all frames; and a second more for each of them
+LOOK_SECONDS = 0.1
 FFMPEG = ["ffmpeg", "-nostdin", "-loglevel", "error"]
 
 
@@ -47,10 +49,13 @@ def padding(path: str, width: int, height: int) -> str | None:
 
 
 class Reel:
-    """The frames of files that play, as they wait in a directory that is there."""
+    """The frames of files that play, as they wait in a directory that is there.
 
-    def __init__(self, folder: str) -> None:
-        self.folder = folder
+    look  called often while a file is written: what it raises ends the writing
+    """
+
+    def __init__(self, folder: str, look: Callable[[], object] = lambda: None) -> None:
+        self.folder, self._look = folder, look
 
     def add(self, number: int, picture: NDArray[np.uint8]) -> None:
         """Take a frame, uint8 (height, width, 3). Raises OutputError if there is no room for it."""
@@ -92,6 +97,7 @@ class Reel:
         from PIL import Image
 
         for number in numbers:
+            self._look()
             with Image.open(self.file(number)) as image:
                 yield image.convert("RGB")
 
@@ -109,40 +115,46 @@ class Reel:
         command += ["-frames:v", str(len(numbers))]
         try:
             with part_file(os.path.dirname(target), ".mp4") as (part, file):
-                _run([*command, part], path, limit, self.folder)
+                self._run([*command, part], path, limit)
                 os.fsync(file.fileno())
-                _look_through(part, path, len(numbers), limit)
+                self._look_through(part, path, len(numbers), limit)
                 os.replace(part, target)
         except OSError as error:
             raise OutputError(f"{path}: the film cannot be written by ffmpeg ({error.strerror or error})") from None
+
+    def _run(self, command: list[str], path: str, limit: float) -> bytes:
+        """Run ffmpeg; what it wrote to standard output. Raises OutputError, in its words, if anything went wrong."""
+        pipe, none = subprocess.PIPE, subprocess.DEVNULL
+        ending = time.monotonic() + limit
+        with subprocess.Popen(command, cwd=self.folder, stdin=none, stdout=pipe, stderr=pipe) as process:
+            try:
+                while True:
+                    with contextlib.suppress(subprocess.TimeoutExpired):
+                        told, said = process.communicate(timeout=LOOK_SECONDS)
+                        break
+                    self._look()
+                    if time.monotonic() > ending:
+                        raise OutputError(f"{path}: ffmpeg has not ended within {limit:.0f} seconds")
+            except BaseException:
+                process.kill()
+                raise
+        words = " ".join(said.decode(errors="replace").split())
+        if process.returncode != 0 or words:
+            raise OutputError(f"{path}: ffmpeg has failed ({words[-300:] or f'exit code {process.returncode}'})")
+        return told
+
+    def _look_through(self, part: str, path: str, frames: int, limit: float) -> None:
+        """Raise OutputError unless a film has so many frames and each can be decoded."""
+        command = [*FFMPEG, "-xerror", "-i", part, "-map", "0:v", "-c", "copy", "-f", "framecrc", "pipe:1"]
+        told = self._run([*command, "-map", "0:v", "-f", "null", "-"], path, limit)
+        found = sum(not line.startswith(b"#") for line in told.splitlines())
+        if found != frames:
+            raise OutputError(f"{path}: the film that ffmpeg wrote has {found} frames, wanted {frames}")
 
 
 def _save_all(file: BinaryIO, kind: str, images: Iterator[Any], shown: int, options: dict[str, Any]) -> None:
     first = next(images)
     first.save(file, kind, save_all=True, append_images=images, duration=shown, loop=0, **options)
-
-
-def _run(command: list[str], path: str, limit: float, folder: str) -> bytes:
-    """Run ffmpeg; what it wrote to standard output. Raises OutputError, in its words, if anything went wrong."""
-    try:
-        done = subprocess.run(
-            command, stdin=subprocess.DEVNULL, capture_output=True, timeout=limit, check=False, cwd=folder
-        )
-    except subprocess.TimeoutExpired:
-        raise OutputError(f"{path}: ffmpeg has not ended within {limit:.0f} seconds") from None
-    said = " ".join(done.stderr.decode(errors="replace").split())
-    if done.returncode != 0 or said:
-        raise OutputError(f"{path}: ffmpeg has failed ({said[-300:] or f'exit code {done.returncode}'})")
-    return done.stdout
-
-
-def _look_through(part: str, path: str, frames: int, limit: float) -> None:
-    """Raise OutputError unless a film has so many frames and each can be decoded."""
-    command = [*FFMPEG, "-xerror", "-i", part, "-map", "0:v", "-c", "copy", "-f", "framecrc", "pipe:1"]
-    told = _run([*command, "-map", "0:v", "-f", "null", "-"], path, limit, os.path.dirname(part))
-    found = sum(not line.startswith(b"#") for line in told.splitlines())
-    if found != frames:
-        raise OutputError(f"{path}: the film that ffmpeg wrote has {found} frames, wanted {frames}")
 
 
 @contextlib.contextmanager

@@ -231,6 +231,7 @@ class Worker(threading.Thread):
         from raygrid.host.inputs import noted
         from raygrid.host.job_files import JobFiles
         from raygrid.host.load import check_allowed
+        from raygrid.host.moving_pictures import Reel
 
         assert self._store is not None
         assert self._journal is not None
@@ -239,7 +240,7 @@ class Worker(threading.Thread):
         self._tell(task, "read", 0.0, 0)
         check_allowed(request.program, self._options.programs)  # a job of the journal may have had another array
         ready = self._store.frame(request.wanted(), task.frame)
-        files = JobFiles(request, task.frame, ready, self._films / str(task.job))
+        files = JobFiles(request, task.frame, ready, Reel(str(self._films / str(task.job)), self._look))
         self._note(task, (*ready.remarks, *files.remarks))
         with noted() as inputs:
             files.note(inputs)

@@ -20,7 +20,7 @@ from raygrid.emulator.driver import Progress
 from raygrid.emulator.memory_array import MemoryArray
 from raygrid.host.job import Settings
 from raygrid.host.load import load_scene
-from raygrid.host.moving_pictures import waiting
+from raygrid.host.moving_pictures import Reel, waiting
 from raygrid.host.progress import Talk
 from raygrid.host.render import render_job
 from raygrid.host.shot_jobs import jobs_of
@@ -318,6 +318,26 @@ def test_an_ffmpeg_that_fails_is_one_error_with_its_words(tmp_path, monkeypatch)
     with pytest.raises(OutputError, match=r"a.mp4: ffmpeg has failed \(no such codec\)"):
         play(tmp_path / "a.mp4", noise(1))
     assert [path.name for path in tmp_path.iterdir()] == ["bin"]
+
+
+def test_a_film_is_given_up_at_once(tmp_path, monkeypatch):
+    """An ffmpeg that never ends; the fixture of the file sees whether it is left."""
+    _fake_ffmpeg(tmp_path, monkeypatch, "import signal\nsignal.pause()")
+
+    class GivenUp(Exception):
+        pass
+
+    def look():
+        raise GivenUp
+
+    frames = tmp_path / "frames"
+    frames.mkdir()
+    reel = Reel(str(frames), look)
+    reel.add(1, noise(1)[0])
+    for name in ("a.mp4", "a.gif", "a.webp"):
+        with pytest.raises(GivenUp):
+            reel.play(str(tmp_path / name), [1], 24.0)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bin", "frames"]
 
 
 def test_without_ffmpeg_that_is_said_before_the_work(tmp_path, monkeypatch):
