@@ -14,6 +14,7 @@ from raygrid.host.inputs import check_outputs
 from raygrid.host.load import check_name
 from raygrid.host.moving_pictures import Reel, check_played, padding, waiting
 from raygrid.host.outputs import check_named, check_picture_path, check_side, suffix_of, write_result
+from raygrid.host.parts import sweep_folders
 from raygrid.host.progress import Talk
 from raygrid.node.errors import OutputError
 
@@ -95,6 +96,7 @@ def run_frames(request: Request) -> None:
     begun = time.perf_counter()
     check_name(request.scene)
     files = _check_names(request)
+    sweep_folders()
     with Talk(request.quiet) as talk, contextlib.ExitStack() as stack:
         if files.played:
             files.reel = stack.enter_context(waiting())

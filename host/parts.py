@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import math
 import os
 import re
 import shutil
 import stat
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from typing import BinaryIO
 
@@ -24,7 +26,9 @@ DIRECTORY_NAME = re.compile(rf"{re.escape(DIRECTORY)}[0-9a-f]{{{2 * CHANCE}}}")
 Kind = Callable[[int], bool]  # by the mode of a file
 TRIES = 100  # a file system whose files have no numbers that stay would try for ever
 
-_swept: set[tuple[str, str]] = set()  # folders that this process has looked through, and for what
+AGAIN_SECONDS = 600.0  # after which a folder is looked through again, by a process that lives for long
+
+_swept: dict[tuple[str, str], float] = {}  # when this process has looked through folders, and for what
 
 
 @contextlib.contextmanager
@@ -41,13 +45,17 @@ def part_file(folder: str, suffix: str = "") -> Iterator[tuple[str, BinaryIO]]:
         os.close(descriptor)
 
 
+def sweep_folders() -> None:
+    """Remove the temporary directories that dead processes left."""
+    _sweep_once(tempfile.gettempdir(), DIRECTORY_NAME, stat.S_ISDIR)
+
+
 class PartFolder:
     """A new directory among the temporary ones, ours alone. Raises OSError."""
 
     def __init__(self) -> None:
-        base = tempfile.gettempdir()
-        _sweep_once(base, DIRECTORY_NAME, stat.S_ISDIR)
-        self.path, self._descriptor = _locked(base, DIRECTORY, "", _make_directory)
+        sweep_folders()
+        self.path, self._descriptor = _locked(tempfile.gettempdir(), DIRECTORY, "", _make_directory)
 
     def remove(self) -> None:
         """Remove it with all that is in it. May be called twice."""
@@ -66,9 +74,10 @@ def sweep(folder: str, name: re.Pattern[str], kind: Kind) -> list[str]:
 
 
 def _sweep_once(folder: str, name: re.Pattern[str], kind: Kind) -> None:
-    """A folder may hold a hundred thousand frames: it is looked through once, not for each."""
-    if (folder, name.pattern) not in _swept:
-        _swept.add((folder, name.pattern))
+    """A folder may hold a hundred thousand frames: it is not looked through for each."""
+    now = time.monotonic()
+    if now - _swept.get((folder, name.pattern), -math.inf) > AGAIN_SECONDS:
+        _swept[folder, name.pattern] = now
         sweep(folder, name, kind)
 
 

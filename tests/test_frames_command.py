@@ -133,6 +133,8 @@ def test_wrong_frames_are_one_line(tmp_path):
             1,
             "raygrid: --turntable and --turntable-scene came, wanted one of them",
         ),
+        (("-o", "%d.png", "--profile"), 2, r".*--profile, .* came with several frames, wanted a single one.*"),
+        (("--stats", "%d.json", "--timed"), 2, r".*--timed came with --frames.*"),
         (("-o", "nowhere/x.gif"), 1, "raygrid: nowhere/x.gif: there is no directory.*"),
     ],
 )

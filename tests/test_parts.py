@@ -26,7 +26,7 @@ with part_file(sys.argv[1]) as (path, file), part_file(sys.argv[1], ".mp4") as (
 @pytest.fixture(autouse=True)
 def afresh(tmp_path, monkeypatch):
     """As a new process, with the temporary directory here."""
-    monkeypatch.setattr(parts, "_swept", set())
+    monkeypatch.setattr(parts, "_swept", {})
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
 
 

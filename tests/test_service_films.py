@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import signal
 
 import numpy as np
@@ -13,6 +14,10 @@ from support_render import SCENES
 from support_service import array, name, on, state_directory, up, watch_until
 
 import raygrid
+from raygrid.host import cli
+from raygrid.host.cli_service import SUBMIT_EXAMPLES
+from raygrid.host.frames import frames_of, parse_frames
+from raygrid.host.load import load_scene
 from raygrid.node.errors import ArrayError, OutputError
 
 __all__ = ["array", "name", "warm_kernels"]
@@ -103,6 +108,16 @@ def test_a_name_without_frames_to_number_is_refused_in_python(array, tmp_path):
     for output in ("a_%d.png", "a.mp4"):
         with pytest.raises(OutputError, match="one of several frames and none were named"):
             array.submit(MOBILE, output=tmp_path / output)
+
+
+EXAMPLES = [line.strip() for text in (cli.EXAMPLES, cli.RENDER_EXAMPLES, SUBMIT_EXAMPLES) for line in text.splitlines()]
+
+
+@pytest.mark.parametrize("line", [line for line in EXAMPLES if "--frames" in line])
+def test_the_examples_of_help_name_frames_that_there_are(line):
+    words = shlex.split(line)
+    scene = load_scene(SCENES.parent / words[2])
+    assert len(frames_of(scene, parse_frames(words[words.index("--frames") + 1]))) > 1
 
 
 # ---- files that play ----
@@ -201,6 +216,15 @@ def test_no_output_is_the_journal(name, array, tmp_path):
     (tmp_path / "j.json").unlink()
     with raygrid.connect(name) as other:
         assert other.jobs(1)[-1]["state"] == "failed"
+
+
+def test_a_job_with_two_names_for_one_file_is_refused(array, tmp_path):
+    os.symlink("a.npy", tmp_path / "b.npy")
+    with pytest.raises(ArrayError, match=r"b\.npy: the output is the same file as the output .*a\.npy, wanted another"):
+        array.submit(TINY, output=[tmp_path / "a.npy", tmp_path / "b.npy"], **SMALL).wait()
+    with pytest.raises(ArrayError, match="the same file as the output"):  # a11.npy, of frames 11 and 1
+        array.submit(MOBILE, output=[tmp_path / "a%d.npy", tmp_path / "a1%d.npy"], frames=(1, 11), **SMALL).wait()
+    assert [path.name for path in tmp_path.iterdir()] == ["b.npy"]
 
 
 def test_a_pipe_as_an_output_holds_nobody_up(name, array, tmp_path):
