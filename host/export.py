@@ -18,7 +18,7 @@ import numpy as np
 
 from raygrid.host.cameras import Camera, Span
 from raygrid.host.export_surfaces import MaterialWriter, surface_lines, vector
-from raygrid.host.inputs import check_outputs, note
+from raygrid.host.inputs import check_outputs, note, noted
 from raygrid.host.job import DEFAULT_DEPTH, DEFAULT_SIZE
 from raygrid.host.load import load_scene
 from raygrid.host.outputs import check_path, write_whole
@@ -42,9 +42,10 @@ def export_file(
     """
     path = Path(scene).stem + ".pov" if output is None else str(output)
     check_path(path)
-    note(scene, "the same file as the scene")
-    check_outputs([path])
-    export_pov(load_scene(scene), path, depth, highlights)
+    with noted():  # called from Python, too
+        note(scene, "the same file as the scene")
+        check_outputs([path])
+        export_pov(load_scene(scene), path, depth, highlights)
     return path
 
 
