@@ -131,7 +131,7 @@ def main() -> None:
                 array.submit(scene, output=frame, size=(64, 48)).wait()
                 before, service = frame.read_bytes(), psutil.Process(array.pid)
                 memory = service.memory_full_info().uss
-                long = array.submit(scene, output=f"{name}/%d.npy", frames=(1, 90_000), size=(64, 48))
+                long = array.submit(scene, output=f"{name}/%d.npy", turntable=90_000, size=(64, 48))
                 record = find(NAME)
                 path, token = os.path.join(record.directory, SOCKET), Path(record.directory, TOKEN).read_text()
                 for number in range(options.messages):

@@ -34,7 +34,7 @@ import sys, raygrid
 name, scene, size, frames, pattern = sys.argv[1:]
 with raygrid.connect(name) as array:
     for frame in range(int(frames)):
-        array.submit(scene, output=pattern, frames=(frame, frame), size=(int(size), int(size))).wait()
+        array.submit(scene, output=pattern.replace("%d", str(frame)), size=(int(size), int(size))).wait()
         print(frame, flush=True)
 """
 

@@ -21,7 +21,18 @@ from typing import Any
 import click
 
 from raygrid.host import cli_inspect, cli_machine, cli_service
-from raygrid.host.cli_types import Fault, FileName, Frames, Number, Pair, Shape, debug_option, outside_option
+from raygrid.host.cli_types import (
+    Fault,
+    FileName,
+    Frames,
+    Number,
+    Pair,
+    Shape,
+    debug_option,
+    outside_option,
+    path_option,
+)
+from raygrid.host.inputs import noted
 from raygrid.host.standard_streams import ready_streams
 
 DEBUG = "RAYGRID_DEBUG"
@@ -102,20 +113,23 @@ def cli() -> None:
 @click.option("--transfer", type=click.Choice(["srgb", "linear"]), default="srgb", show_default=True,
               help="From linear radiance to the bytes of a picture.")
 @click.option("-o", "--output", "outputs", multiple=True, type=FileName(), metavar="FILE",
-              help="Picture (.png .jpg .webp .tif .bmp .ppm), or .npy of the exact sums; may be repeated.  "
-                   "[default: the scene's name with .png, here]")
+              help="Picture (.png .jpg .webp .tif .bmp .ppm), or .npy of the exact sums; - is standard output, a PNG; may be "
+                   "repeated.  [default: the scene's name with .png, here]")
 @click.option("--frames", type=Frames(), metavar="A-B",
               help="Render these frames of a shot; FILE then has a number such as %04d in its name, or is .gif .webp .mp4.")
 @click.option("--turntable", type=Number(1, 1_000_000), metavar="N", help="The camera goes once round the scene in N frames.")
 @click.option("--turntable-scene", type=Number(1, 1_000_000), metavar="N",
               help="The scene turns once in N frames, under lights that stay.")
+@click.option("--resume", is_flag=True,
+              help="Skip frames whose files are there, whole, and of just this shot: a .png says so itself, others are "
+                   "rendered again.")
 @click.option("--program", type=FileName(), metavar="FILE",
               help="Code for the nodes: a surface, a shading rule or a background (docs/programs.md).")
 @click.option("--allow-programs", is_flag=True, help="Launch an array that takes programs. They run with your rights.")
-@click.option("--stats", type=FileName(), metavar="FILE", help="Write what the machine did as JSON.")
-@click.option("--probe-record", type=FileName(), metavar="FILE",
+@path_option("--stats", metavar="FILE", help="Write what the machine did as JSON; - is standard output.")
+@path_option("--probe-record", metavar="FILE",
               help="Keep how every node stood, line by line, as JSON. For a single frame.")
-@click.option("--chrome-trace", type=FileName(), metavar="FILE",
+@path_option("--chrome-trace", metavar="FILE",
               help="Write the same as a trace for Perfetto. For a single frame.")
 @click.option("--probe-rate", type=Number(0.01, 100.0), default=10.0, show_default=True, metavar="HZ",
               help="How often a node tells how it stands, if anybody asks.")
@@ -140,24 +154,28 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
 
     SCENE is a file of one of these kinds: .nff .obj .ply .stl .glb .gltf .toml
     """
-    from raygrid.host.command_render import Request, default_outputs, run_render
-    from raygrid.host.frames import turntable_of
+    from raygrid.host.command_render import Request, run_render
+    from raygrid.host.frames import default_outputs, turntable_of, wants_shot
 
     of_machine = ("batch", "budget", "transfer", "stats", "patience", "attempts", "fault", "quiet", "profile")
-    names = (*of_machine, "probe_record", "chrome_trace", "probe_rate", "frames", "program", "allow_programs")
+    names = (*of_machine, "probe_record", "chrome_trace", "probe_rate", "frames", "program", "allow_programs", "resume")
     machine = {name: options.pop(name) for name in names}
     timed, cost, search = (options.pop(name) for name in ("timed", "cost", "search"))
     if not timed and (cost or search):
         raise click.UsageError("--cost and --search came without --timed")
     machine |= {"cost": (cost or "8086") if timed else None, "search": search}
     turntable = turntable_of(options.pop("turntable"), options.pop("turntable_scene"))
-    several = turntable is not None or machine["frames"] is not None
+    named = [*outputs, *filter(None, [machine["stats"]])]
+    several = wants_shot(machine["frames"], turntable is not None, named)
     if timed and (several or machine["program"] is not None):
         raise click.UsageError("--timed came with --frames, --turntable or --program, wanted one frame without a program")
     if several and (machine["profile"] or machine["probe_record"] or machine["chrome_trace"]):
         raise click.UsageError("--profile, --probe-record or --chrome-trace came with several frames, wanted a single one")
     outputs = outputs or default_outputs(scene, several)
-    run_render(Request(scene, shape, outputs, **machine, settings=options, turntable=turntable))
+    request = Request(scene, shape, outputs, **machine, settings=options, turntable=turntable)
+    if request.resume and not several:
+        raise click.UsageError("--resume came without frames, wanted --frames, --turntable, or a number such as %04d in a name")
+    run_render(request)
 
 
 @cli.command(epilog=LOAD_EXAMPLES)
@@ -200,10 +218,9 @@ def info(scene: str, as_json: bool) -> None:
 @click.argument("scene")
 @click.option("--depth", type=Number(1, 31), metavar="N", help="As for render.  [default: the scene's, else 5]")
 @click.option("--highlights/--no-highlights", default=None, help="As for render.  [default: off for NFF, else on]")
-@click.option(
+@path_option(
     "-o",
     "--output",
-    type=FileName(),
     metavar="FILE",
     help="File to write.  [default: the scene's name with .pov, here]",
 )
@@ -216,9 +233,12 @@ def export(scene: str, depth: int | None, highlights: bool | None, output: str |
     POV-Ray renders the same picture from it, by the same rules; the head of the file says what differs.
     """
     from raygrid.host.export import export_file
-    from raygrid.host.outputs import write_result
+    from raygrid.host.outputs import write_names
 
-    write_result(export_file(scene, output, depth, highlights, frame, lambda told: click.echo(f"note: {told}", err=True)))
+    written = [
+        export_file(scene, output, depth, highlights, frame, lambda told: click.echo(f"note: {told}", err=True))
+    ]
+    write_names(written, written)
 
 
 cli_machine.add_commands(cli)
@@ -290,7 +310,7 @@ def _signals_as_exceptions() -> Iterator[None]:
 def _run(arguments: list[str]) -> int:
     """Run a command; returns the exit code. Known errors become one line."""
     try:
-        with _signals_as_exceptions():
+        with _signals_as_exceptions(), noted():
             code = cli.main(args=arguments, prog_name="raygrid", standalone_mode=False)
         return code if isinstance(code, int) else 0
     except click.exceptions.Exit as end:

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from raygrid.host.cli_service import ArrayName
-from raygrid.host.cli_types import AnyType, FileName, Number, Pair, Shape, outside_option
+from raygrid.host.cli_types import AnyType, FileName, Number, Pair, Shape, outside_option, path_option
 
 Command = Callable[..., Any]
 
@@ -132,8 +132,8 @@ def jam(
               help="How often each node tells how it stands.")
 @click.option("--for", "seconds", type=Number(0.0, 1e9), metavar="SECONDS", help="End after this time.  [default: at Ctrl-C]")
 @click.option("--json", "as_json", is_flag=True, help="A line of JSON a sample, instead of the table.")
-@click.option("--record", type=FileName(), metavar="FILE", help="Keep the samples there, as lines of JSON.")
-@click.option("--chrome-trace", type=FileName(), metavar="FILE", help="Write a trace for Perfetto at the end.")
+@path_option("--record", metavar="FILE", help="Keep the samples there, as lines of JSON.")
+@path_option("--chrome-trace", metavar="FILE", help="Write a trace for Perfetto at the end.")
 @click.option("--prometheus", type=Number(0, 65535), metavar="PORT", help="Serve aggregates at http://127.0.0.1:PORT/metrics.")
 def probe(**options: Any) -> None:
     """Show how the nodes of an array stand: a table, and a heat map of each layer.

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from raygrid.host.cli_types import Edges, FileName, Number, Pair, Shape, debug_option, outside_option
+from raygrid.host.cli_types import Edges, FileName, Number, Pair, Shape, debug_option, outside_option, path_option
 
 SIMULATE_EXAMPLES = """\b
 Examples:
@@ -52,10 +52,10 @@ Writes law.md, law.csv and a plot for each scene. docs/paper.md says what came o
 @click.option("--frame", type=Number(1, 1_000_000), metavar="N", help="The frame of a shot.  [default: 1]")
 @click.option("-o", "--output", "outputs", multiple=True, type=FileName(), metavar="FILE",
               help="Picture, or .npy of the exact sums: the same bits as from render; may be repeated.")
-@click.option("--stats", type=FileName(), metavar="FILE", help="Write what the machine did as JSON.")
-@click.option("--csv", "table", type=FileName(), metavar="FILE", help="Write a row for each processor.")
-@click.option("--plots", type=FileName(), metavar="FOLDER",
-              help="Write busy.png, links.png and time.png there (needs the extra `plots`).")
+@path_option("--stats", metavar="FILE", help="Write what the machine did as JSON.")
+@path_option("--csv", "table", metavar="FILE", help="Write a row for each processor.")
+@path_option("--plots", metavar="FOLDER",
+              help="Write busy.png, links.png and time.png there, made if need be (needs the extra `plots`).")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors and results.")
 @outside_option
 @debug_option
@@ -89,7 +89,7 @@ def simulate(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], 
 @click.option("--depth", type=Number(1, 31), metavar="N", help="As for render.")
 @click.option("--split", type=click.Choice(["balanced", "uniform"]), default="uniform", show_default=True,
               help="As for render.")
-@click.option("-o", "--output", "folder", type=FileName(), default="law", show_default=True, metavar="FOLDER",
+@path_option("-o", "--output", "folder", default=("law",), show_default="law", metavar="FOLDER",
               help="Where the report goes.")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors and results.")
 @outside_option

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from raygrid.host.cli_types import AnyType, FileName, Number, Shape
+from raygrid.host.cli_types import AnyType, FileName, Frames, Number, Shape, path_option
 
 # Options of `render` that a job has, too; the others belong to the array, and so to `up`.
 SETTINGS = ("size", "samples", "depth", "min_weight", "highlights", "split")
@@ -33,6 +33,7 @@ SUBMIT_EXAMPLES = """\b
 Examples:
   raygrid submit scenes/room.glb -o room.png
   raygrid submit scenes/mobile.toml --frames 1-48 -o out/m_%04d.png --resume
+  raygrid submit scenes/glass.toml --turntable 72 -o out/round.webp
   raygrid submit scenes/glass.toml --turntable 72 --name film --detach
   raygrid submit scenes/glass.toml --size 64x64 --priority 10
 
@@ -87,23 +88,6 @@ class ArrayName(AnyType):
         return str(value)
 
 
-class Frames(AnyType):
-    """Frames, `1-250` or `7`: the first and the last."""
-
-    name = "frames"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
-        """Raises a usage error for anything else."""
-        from raygrid.host.frames import parse_frames
-
-        if isinstance(value, tuple):
-            return value
-        try:
-            return parse_frames(str(value))
-        except ValueError as error:
-            self.fail(f"{str(value)[:40]!r} came, {error}", param, ctx)
-
-
 def _name_option(command: Command) -> Command:
     text = "Of the array; several can be up at once."
     option = click.option("--name", type=ArrayName(), default="default", show_default=True, metavar="NAME", help=text)
@@ -149,12 +133,11 @@ def list_arrays(as_json: bool) -> None:
 @click.command(epilog=SUBMIT_EXAMPLES)
 @click.argument("scene")
 @_name_option
-@click.option("--frames", type=Frames(), metavar="A-B",
-              help="Frames to render.  [default: all of a turntable, else one, without a number]")
+@click.option("--frames", type=Frames(), metavar="A-B", help="As for render.")
 @click.option("-o", "--output", "outputs", multiple=True, type=FileName(), metavar="FILE",
-              help="As for render; with --frames, %04d stands for the number of the frame. May be repeated.  "
+              help="As for render, but for standard output. May be repeated.  "
                    "[default: the scene's name with .png, or with _%04d.png, here]")
-@click.option("--stats", type=FileName(), metavar="FILE", help="As for render; %04d as for -o.")
+@path_option("--stats", metavar="FILE", help="As for render; %04d as for -o.")
 @click.option("--resume", is_flag=True, help="Skip frames whose files are there, whole, and of just this job.")
 @click.option("--priority", type=Number(-100, 100), default=0, show_default=True, metavar="N",
               help="Frames of jobs with a higher one go first.")
@@ -171,8 +154,6 @@ def submit(scene: str, **options: Any) -> None:
 
     settings = {name: options.pop(name) for name in SETTINGS}
     turntable = turntable_of(options.pop("turntable"), options.pop("turntable_scene"))
-    if turntable is not None and options["frames"] is None:
-        options["frames"] = 1, turntable.frames
     client = f"session {os.getsid(0)}"
     run_submit(Order(scene, settings=settings, turntable=turntable, client=client, **options))
 

@@ -81,7 +81,7 @@ class Edges(AnyType):
 
 
 class Frames(AnyType):
-    """Frames of a shot, `1-48` or `7`."""
+    """Frames of a shot, `1-48` or `7`: the first and the last."""
 
     name = "frames"
 
@@ -89,12 +89,12 @@ class Frames(AnyType):
         """Raises a usage error for anything else."""
         if isinstance(value, tuple):
             return value
-        ends = str(value).split("-")
-        right = len(ends) <= 2 and all(end.isascii() and end.isdigit() and len(end) <= 7 for end in ends)
-        first, last = (int(ends[0]), int(ends[-1])) if right else (0, 0)
-        if not 1 <= first <= last:
-            self.fail(f"{shorten(value)} came, wanted frames such as 1-48 or 7", param, ctx)
-        return first, last
+        from raygrid.host.frames import parse_frames
+
+        try:
+            return parse_frames(str(value))
+        except ValueError as error:
+            self.fail(f"{shorten(value)} came, {error}", param, ctx)
 
 
 class Fault(AnyType):
@@ -133,6 +133,18 @@ class Number(AnyType):
             kind = "whole number" if whole else "number"
             self.fail(f"{shorten(value)} came, wanted a {kind} from {self._least} to {self._most}", param, ctx)
         return number
+
+
+def once(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) -> str | None:
+    """The one value of an option that click takes as often as it comes: of two files one would not be written."""
+    if len(values) > 1:
+        raise click.BadParameter("came more than once, wanted it once", ctx, param)
+    return values[0] if values else None
+
+
+def path_option(*names: str, **about: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """An option for the name of one file or folder that is written."""
+    return click.option(*names, type=FileName(), multiple=True, callback=once, **about)
 
 
 def shorten(value: Any) -> str:

@@ -13,13 +13,14 @@ import os
 import secrets
 import select
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Self
 
 from raygrid.host.connection import ANSWER_SECONDS, ENDED, Connection
-from raygrid.host.frames import path_of
+from raygrid.host.frames import absolute as absolute_pattern
+from raygrid.host.frames import check_job, is_played, path_of
 from raygrid.host.service_files import DEFAULT_NAME, Record, find
 from raygrid.host.wire import Message, shown
 from raygrid.node.errors import ArrayError
@@ -99,7 +100,8 @@ class Service:
         """Queue a job and return at once. Paths may be relative to the current directory.
 
         scene     path of the scene's file, which the service reads when the job's turn comes
-        output    path of a picture or a .npy, or several; with several frames each has a %04d for the number
+        output    path of a picture or a .npy, or several; with several frames each has a %04d for the number, or is a
+                  .gif, .webp or .mp4 of them all; %% is a %
         frames    first and last; None: all of a turntable, else one frame without number
         stats     path of the statistics, with %04d likewise
         resume    skip frames whose files are there, whole, and of this very job
@@ -108,21 +110,26 @@ class Service:
         program   path of a program for the nodes, for an array that was launched to take it
         priority  -100 to 100: frames of higher ones go first, and one that runs is given up for them if it would take long
         settings  size, samples, depth, min_weight, highlights, split; see `raygrid.host.job.Settings`
-        Raises TypeError for another setting, ArrayError for what the service refuses.
+        Raises TypeError for another setting, OutputError for names that cannot be, ArrayError for what the service refuses.
         """
         unknown = set(settings) - set(SETTINGS)
         if unknown:
             raise TypeError(f"the settings {sorted(unknown)} came, wanted some of {', '.join(SETTINGS)}")
         if frames is None and isinstance(turntable, int):
             frames = 1, turntable
-        outputs = list(output) if isinstance(output, Sequence) and not isinstance(output, str | bytes) else [output]
+        several = isinstance(output, Sequence) and not isinstance(output, str | bytes)
+        patterns: list[Any] = list(output) if several else [output]  # type: ignore[arg-type]
+        outputs = [pattern_at("output", path) for path in patterns]
+        figures = None if stats is None else pattern_at("stats", stats)
+        if frames is None or (len(frames) == 2 and all(isinstance(number, int) for number in frames)):
+            check_job(outputs, figures, frames)  # else the service says what is wrong
         request: Message = {
             "do": "submit",
             "scene": absolute("scene", scene),
             "settings": {name: _plain(value) for name, value in settings.items() if value is not None},
             "frames": _plain(frames),
-            "outputs": [absolute("output", path) for path in outputs],
-            "stats": None if stats is None else absolute("stats", stats),
+            "outputs": outputs,
+            "stats": figures,
             "transfer": transfer,
             "resume": resume,
             "client": self._client if client is None else client,
@@ -148,9 +155,7 @@ class Service:
                     watch(event)
         if end["state"] != "done":
             raise ArrayError(f"job {job} {_said(end)}")
-        numbers = [None] if facts["first"] is None else range(facts["first"], facts["last"] + 1)
-        files = tuple(path_of(pattern, number) for number in numbers for pattern in facts["outputs"])
-        return Result(job, files, end["frames"], end["skipped"])
+        return Result(job, tuple(_files_of(facts)), end["frames"], end["skipped"])
 
     def cancel(self, jobs: Sequence[int] | None) -> list[int]:
         """Cancel jobs, None: all; returns those that had not ended. Raises ArrayError if one of them is not known."""
@@ -229,6 +234,16 @@ def wait_gone(record: Record, timeout: float | None = None) -> bool:
     return not record.alive
 
 
+def _files_of(facts: Message) -> Iterator[str]:
+    """All files of a job, in the order of its frames; those that play after the last."""
+    shot = facts["first"] is not None
+    numbers = range(facts["first"], facts["last"] + 1) if shot else [None]
+    played = [pattern for pattern in facts["outputs"] if is_played(pattern, shot)]
+    for number in numbers:
+        yield from (path_of(pattern, number) for pattern in facts["outputs"] if pattern not in played)
+    yield from (path_of(pattern, None) for pattern in played)
+
+
 def _plain(value: Any) -> Any:
     """A setting as a message can carry it: pairs as lists, numpy's numbers as numbers."""
     if isinstance(value, Sequence) and not isinstance(value, str | bytes | bytearray):
@@ -251,6 +266,12 @@ def absolute(what: str, path: Any) -> str:
         raise ArrayError(
             f"{what} came as {os.fspath(path)!r}, wanted an absolute path: the current directory was removed"
         ) from None
+
+
+def pattern_at(what: str, pattern: Any) -> str:
+    """The name of an output with its whole path, in which a % of the current directory stands for itself. As `absolute`."""
+    absolute(what, pattern)
+    return absolute_pattern(pattern)
 
 
 def _said(end: Message) -> str:

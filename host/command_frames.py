@@ -3,51 +3,94 @@
 from __future__ import annotations
 
 import contextlib
-import re
 import time
 from collections.abc import Iterator
-from pathlib import Path
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from raygrid.emulator.array import Array
+from raygrid.host.frames import check_patterns, frames_of, is_played, path_of
+from raygrid.host.inputs import check_outputs
 from raygrid.host.load import check_name
 from raygrid.host.misuse import OutputMisuse
-from raygrid.host.moving_pictures import PLAYED, Reel, check_played
-from raygrid.host.outputs import check_different, check_path, check_picture_path, check_side, write_result
+from raygrid.host.moving_pictures import Reel, check_played, padding, waiting
+from raygrid.host.outputs import check_named, check_picture_path, check_side, suffix_of, write_result
+from raygrid.host.parts import sweep_folders
 from raygrid.host.progress import Talk
-from raygrid.node.errors import SceneError
 
 if TYPE_CHECKING:
     from raygrid.host.command_render import Request
+    from raygrid.host.job import Job
     from raygrid.host.picture import Picture
     from raygrid.host.scene import Scene
 
-NUMBER = re.compile(r"%(0?[1-9])?d")
 LARGEST_NUMBER = 1_000_000
 
 
-def has_number(path: str) -> bool:
-    """Whether a name has a place for the number of a frame, such as %04d. Raises OutputMisuse for any other %."""
-    places = NUMBER.findall(path)
-    if len(places) > 1 or NUMBER.sub("", path).count("%"):
-        raise OutputMisuse(f"{path}: the output has a % in its name that is no number, wanted one such as %04d")
-    return bool(places)
+@dataclass
+class _Files:
+    """What is written of a shot.
 
+    single  patterns of files that each frame has; played: files that hold all frames
+    reel    where frames for those wait
+    written the files that were written
+    blank   what is to be said of pictures that show nothing -> numbers of their frames
+    """
 
-def named(path: str, frame: int) -> str:
-    """The file of a frame."""
-    return NUMBER.sub(lambda place: place.group(0) % frame, path)
+    request: Request
+    single: list[str]
+    played: list[str]
+    contents: str = ""
+    reel: Reel | None = None
+    written: list[str] = field(default_factory=list)
+    blank: dict[str, list[int]] = field(default_factory=dict)
 
+    def of(self, number: int) -> list[str]:
+        """A frame's own files."""
+        return [path_of(pattern, number) for pattern in self.single]
 
-def is_played(path: str) -> bool:
-    """Whether one file holds all frames."""
-    return Path(path).suffix.lower() in PLAYED and not has_number(path)
+    def stats(self, number: int) -> str | None:
+        """A frame's statistics."""
+        return None if self.request.stats is None else path_of(self.request.stats, number)
 
+    def digest(self, job: Job) -> str:
+        """A digest of all that a frame depends on."""
+        from raygrid.host.picture_digest import picture_digest
 
-def wants_frames(request: Request) -> bool:
-    """Whether more than one picture of the scene as it stands is asked for."""
-    named_so = any(NUMBER.search(path) or Path(path).suffix.lower() in (".gif", ".mp4") for path in request.outputs)
-    return request.frames is not None or request.turntable is not None or named_so
+        return picture_digest(self.contents, job.settings, job.number, self.request.transfer)
+
+    def are_there(self, job: Job) -> bool:
+        """Whether a frame need not be rendered, as its files are there; the reel then has it, too."""
+        from raygrid.host.whole import frame_is_there
+
+        number = int(job.number or 0)
+        files = self.of(number)
+        pictures = [file for file in files if suffix_of(file) == ".png"]
+        if not files or (self.reel is not None and not pictures):
+            return False
+        size = job.frame.width, job.frame.height
+        if not frame_is_there(files, self.stats(number), self.digest(job), size):
+            return False
+        if self.reel is not None:
+            self.reel.take(number, pictures[0])
+        return True
+
+    def save(self, job: Job, picture: Picture) -> None:
+        """Write a frame's own files."""
+        from raygrid.host.stats import save_stats
+        from raygrid.host.whole import save_marked
+
+        number, transfer, digest = int(job.number or 0), self.request.transfer, self.digest(job)
+        if (said := picture.blank()) is not None:
+            self.blank.setdefault(said, []).append(number)
+        for path in self.of(number):
+            save_marked(picture, path, transfer, digest)
+            self.written.append(path)
+        stats = self.stats(number)
+        if stats is not None:
+            save_stats(stats, picture.stats)
+        if self.reel is not None:
+            self.reel.add(number, picture.bytes(transfer))
 
 
 def as_ranges(frames: list[int]) -> str:
@@ -67,117 +110,121 @@ def run_frames(request: Request) -> None:
 
     begun = time.perf_counter()
     check_name(request.scene)
-    _check_names(request)
-    written: list[str] = []
-    with Talk(request.quiet) as talk, contextlib.ExitStack() as reels:
-        played = [output for output in request.outputs if is_played(output)]
+    files = _check_names(request)
+    sweep_folders()
+    with Talk(request.quiet) as talk, contextlib.ExitStack() as stack:
+        if files.played:
+            files.reel = stack.enter_context(waiting())
         with launching(request, talk) as array:
             array.begin()
             talk.phase(f"reading {request.scene}")
-            scene, numbers = _read(request, talk)
-            fps = scene.shot.fps if scene.shot is not None else 1.0
-            files = [reels.enter_context(Reel(output, fps)) for output in played]
-            rate = 0.0
-            blank: dict[str, list[int]] = {}
-            for picture, number in _pictures(request, scene, numbers, array, talk):
-                talk.phase(f"writing frame {number}")
-                written += _save(request, picture, number)
-                for file in files:
-                    file.add(picture.bytes(request.transfer))
-                rate += picture.stats["wall_seconds"]["trace"]
-                if (said := picture.blank()) is not None:
-                    blank.setdefault(said, []).append(number)
+            scene, numbers = _read(files, talk)
+            rate, skipped = _render(files, scene, numbers, array, talk)
             talk.phase("ending the processors")
-        for said, frames in blank.items():
+        for said, frames in files.blank.items():
             talk.remark(f"{as_ranges(frames)}: {said}")
-        for file in files:
-            talk.phase(f"writing {file.path}")
-            file.write()
-        written += played
+        for path in files.played:
+            talk.phase(f"writing {path}")
+            assert files.reel is not None
+            files.reel.play(path, numbers, 1.0 if scene.shot is None else scene.shot.fps)
+        if skipped:
+            talk.remark(f"{skipped} of {len(numbers)} frames were there already")
         talk.say(
-            f"{len(numbers)} frames, traced in {rate:.2f} s of wall time, {time.perf_counter() - begun:.2f} s in all"
+            f"{len(numbers) - skipped} frames, traced in {rate:.2f} s of wall time, {time.perf_counter() - begun:.2f} s in all"
         )
-    for output in written:
+    for output in (*files.written, *files.played):
         write_result(output)
 
 
-def _check_names(request: Request) -> None:
-    """Raise OutputMisuse for outputs that cannot be, before the work."""
-    for output in request.outputs:
-        if is_played(output):
-            check_played(output)
-        elif has_number(output):
-            check_picture_path(named(output, LARGEST_NUMBER))
-        elif request.frames is None or request.frames[0] != request.frames[1]:
-            raise OutputMisuse(
-                f"{output}: several frames would go to this one file, wanted a number such as %04d in its name, "
-                f"or one of: {' '.join(PLAYED)}"
-            )
-        else:
-            check_picture_path(output)
-    outputs = list(request.outputs)
+def _check_names(request: Request) -> _Files:
+    """The files of the shot. Raises OutputError for those that cannot be, before the work."""
+    from raygrid.host.command_render import note_read
+
+    check_patterns(request.outputs, request.stats, request.frames, True)
+    single = [pattern for pattern in request.outputs if not is_played(pattern, True)]
+    played = [path_of(pattern, None) for pattern in request.outputs if is_played(pattern, True)]
+    for output in played:
+        check_played(output)
+    largest = LARGEST_NUMBER if request.frames is None else request.frames[1]
+    for output in single:
+        check_named(path_of(output, largest))
+        check_picture_path(path_of(output, largest))
     if request.stats is not None:
-        check_path(named(request.stats, LARGEST_NUMBER))
-        outputs.append(request.stats)
-        if not has_number(request.stats) and (request.frames is None or request.frames[0] != request.frames[1]):
-            raise OutputMisuse(
-                f"{request.stats}: statistics of several frames came, wanted a number such as %04d in the name"
-            )
-    check_different(request.scene, outputs)
+        check_named(path_of(request.stats, largest))
+    if len(played) > len(set(played)):
+        raise OutputMisuse(f"{played[0]}: the output came twice, wanted it once")
+    files = _Files(request, single, played)
+    note_read(request)
+    check_outputs(_paths(files, [largest]))
+    return files
 
 
-def _read(request: Request, talk: Talk) -> tuple[Scene, list[int]]:
+def _paths(files: _Files, numbers: list[int]) -> Iterator[str]:
+    """All files that are to be written."""
+    yield from files.played
+    for number in numbers:
+        yield from files.of(number)
+        stats = files.stats(number)
+        if stats is not None:
+            yield stats
+
+
+def _read(files: _Files, talk: Talk) -> tuple[Scene, list[int]]:
     """The shot, and the numbers of its frames that are to be rendered."""
     from raygrid.host.load import load_scene
+    from raygrid.host.picture_digest import contents_of_shot
+    from raygrid.host.sources import recorded
 
-    scene = load_scene(request.scene)
+    request = files.request
+    with recorded() as sources:
+        scene = load_scene(request.scene)
     for remark in scene.remarks:
         talk.remark(remark)
+    files.contents = contents_of_shot(sources, request.turntable)
     if request.turntable is not None:
         from raygrid.host.turntable import turntable
 
         scene = turntable(scene, request.turntable.frames, request.turntable.turn_scene)
-    if scene.shot is None:
-        raise SceneError(f"{scene.name}: nothing moves in the scene, wanted keys in it, or --turntable N")
-    first, last = request.frames or (1, scene.shot.frames)
-    if last > scene.shot.frames:
-        raise SceneError(f"{scene.name}: frames {first}-{last} came, wanted frames of 1 to {scene.shot.frames}")
-    return scene, list(range(first, last + 1))
+    numbers = list(frames_of(scene, request.frames))
+    check_outputs(_paths(files, numbers))  # now that all is read
+    return scene, numbers
 
 
-def _pictures(
-    request: Request, scene: Scene, numbers: list[int], array: Array, talk: Talk
-) -> Iterator[tuple[Picture, int]]:
-    """Each frame's picture and number, one after the other."""
+def _render(files: _Files, scene: Scene, numbers: list[int], array: Array, talk: Talk) -> tuple[float, int]:
+    """Render each frame that is not there yet, and write it; seconds of tracing, and how many were there."""
     from raygrid.host.command_render import program_of
     from raygrid.host.job import Settings, samples_expected
     from raygrid.host.shot_jobs import jobs_of
     from raygrid.host.steady import render_steadily
 
+    request = files.request
     settings = Settings(**request.settings, program=program_of(request))
-    jobs = jobs_of(scene, request.shape, settings, numbers, array.wait_warm)
-    for job in jobs:
-        if job.number == numbers[0]:
-            for output in request.outputs:
-                check_side(output, job.frame.width, job.frame.height)
-            talk.phase("launching the processors")
+    rate, skipped = 0.0, 0
+    for done, job in enumerate(jobs_of(scene, request.shape, settings, numbers, array.wait_warm)):
+        if done == 0:
+            _begin(files, job, talk)
             array.wait_ready()
-        talk.of(f"frame {job.number} of {numbers[-1]}: ")
+            talk.shot(len(numbers))
+        talk.frame(numbers[done], done, skipped)
+        if request.resume and files.are_there(job):
+            skipped += 1
+            continue
         talk.expect(samples_expected(job))
         picture = render_steadily(
             array, job, request.budget, talk.watch, attempts=request.attempts, on_fault=talk.fault
         )
-        yield picture, int(job.number or 0)
-        talk.of("")
+        talk.phase("writing")
+        files.save(job, picture)
+        rate += picture.stats["wall_seconds"]["trace"]
+    talk.shot(0)
+    return rate, skipped
 
 
-def _save(request: Request, picture: Picture, number: int) -> list[str]:
-    """Write a frame's own files; returns their names."""
-    paths = [named(output, number) for output in request.outputs if not is_played(output)]
-    for path in paths:
-        picture.save(path, request.transfer)
-    if request.stats is not None:
-        from raygrid.host.stats import save_stats
-
-        save_stats(named(request.stats, number), picture.stats)
-    return paths
+def _begin(files: _Files, job: Job, talk: Talk) -> None:
+    """What can be said once the first frame's size is known. Raises OutputError."""
+    for output in files.request.outputs:
+        check_side(output, job.frame.width, job.frame.height)
+        padded = padding(output, job.frame.width, job.frame.height)
+        if padded is not None:
+            talk.remark(padded)
+    talk.phase("launching the processors")

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from raygrid.host.inputs import check_outputs, note
 from raygrid.host.load import check_name
-from raygrid.host.outputs import check_path, write_result
+from raygrid.host.outputs import check_path, made_folder, write_result
 from raygrid.host.progress import Talk
-from raygrid.node.errors import OutputError
 
 
 @dataclass(frozen=True)
@@ -39,17 +39,14 @@ class Request:
 
 def run_law(request: Request) -> None:
     """Sweep, fit, write the report. Raises RaygridError."""
+    from raygrid.host.law_report import report_paths
+
     for scene in request.scenes:
         check_name(scene)
-    folder = Path(request.folder)
-    if not folder.is_dir() and not folder.parent.is_dir():
-        raise OutputError(f"{folder}: there is no directory {folder.parent}, wanted one that is there")
-    try:
-        folder.mkdir(exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{folder}: the folder cannot be made ({error.strerror})") from None
-    check_path(folder / "law.md")
-    with Talk(request.quiet) as talk:
+        note(scene, "the same file as a scene")
+    with made_folder(request.folder), Talk(request.quiet) as talk:
+        check_path(Path(request.folder) / "law.md")
+        check_outputs(report_paths(request.folder, request.scenes))
         paths = _run(request, talk)
     for path in paths:
         write_result(path)
@@ -59,7 +56,7 @@ def _run(request: Request, talk: Talk) -> list[str]:
     from raygrid.host.command_simulate import compiling
     from raygrid.host.cost_models import load_cost_model
     from raygrid.host.law import fits_of, sweep
-    from raygrid.host.law_report import write_report
+    from raygrid.host.law_report import report_paths, write_report
     from raygrid.host.load import load_scene
     from raygrid.host.plots import pyplot
     from raygrid.host.shot import frame_told
@@ -70,6 +67,7 @@ def _run(request: Request, talk: Talk) -> list[str]:
     for scene in scenes:
         if told_frame := frame_told(scene, None, False):
             talk.remark(told_frame)
+    check_outputs(report_paths(request.folder, [scene.name for scene in scenes]))  # now that all is read
     points = []
     with compiling(talk):
         for scene in scenes:

@@ -114,7 +114,10 @@ def _open(request: Request) -> Iterator[tuple[Feed, str | None]]:
         until, head = worst_moment(request.replay) if request.worst else (None, None)
         read = replay(request.replay)
         samples = islice(read.samples, until)
-        yield Feed(read.shape, read.rate, samples if request.speed is None else paced(samples, request.speed)), head
+        try:
+            yield Feed(read.shape, read.rate, samples if request.speed is None else paced(samples, request.speed)), head
+        finally:
+            read.close()
         return
     from raygrid.host.probe_service import subscribe
     from raygrid.host.service_files import DEFAULT_NAME

@@ -9,15 +9,15 @@ import contextlib
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from raygrid.emulator.array import Array
-from raygrid.host.command_frames import run_frames, wants_frames
-from raygrid.host.frames import Turntable
+from raygrid.host.command_frames import run_frames
+from raygrid.host.frames import Turntable, check_patterns, path_of, wants_shot
+from raygrid.host.inputs import check_outputs, note
 from raygrid.host.load import check_allowed, check_name
-from raygrid.host.outputs import check_different, check_path, check_picture_path, check_side, write_result
+from raygrid.host.outputs import check_named, check_path, check_picture_path, check_side, write_names
 from raygrid.host.progress import Talk
 
 if TYPE_CHECKING:
@@ -42,6 +42,7 @@ class Request:
     search    list, tree, or None: as the cost model says
     frames    first and last frame of a shot, or None
     turntable make the scene a shot of one turn, or None
+    resume    skip frames of a shot whose files are there
     program   path of a program that the nodes are to run, or None
     allow_programs  whether the array takes programs
     probe_record, chrome_trace   paths of what probes tell `probe_rate` times a second, or None
@@ -69,14 +70,26 @@ class Request:
     probe_record: str | None = None
     chrome_trace: str | None = None
     probe_rate: float = 10.0
+    resume: bool = False
+
+    @property
+    def patterns(self) -> tuple[str, ...]:
+        """The names of all files that a frame has."""
+        return (*self.outputs, *([] if self.stats is None else [self.stats]))
+
+    @property
+    def of_shot(self) -> bool:
+        """Whether frames of a shot are asked for, and not a picture of the scene as it stands. Raises OutputError."""
+        return wants_shot(self.frames, self.turntable is not None, self.patterns)
 
 
 def run_render(request: Request) -> None:
     """Launch, read, load, trace, collect, write. Raises RaygridError."""
     check_allowed(request.program, request.allow_programs)
-    if wants_frames(request):
+    if request.of_shot:
         run_frames(request)
         return
+    request = _named(request)
     begun = time.perf_counter()
     check_name(request.scene)
     if request.cost is not None:
@@ -101,8 +114,14 @@ def run_render(request: Request) -> None:
             from raygrid.host.profile_table import profile_table
 
             talk.table(profile_table(picture.stats["nodes"]))
-    for output in request.outputs:
-        write_result(output)
+    write_names(request.outputs, request.patterns)
+
+
+def _named(request: Request) -> Request:
+    """The same with the names of files as they are, and not as patterns. Raises OutputError."""
+    check_patterns(request.outputs, request.stats, None, False)
+    stats = None if request.stats is None else path_of(request.stats, None)
+    return replace(request, outputs=tuple(path_of(name, None) for name in request.outputs), stats=stats)
 
 
 def _render(request: Request, talk: Talk, begun: float, probing: Probing | None) -> tuple[Picture, Ahead]:
@@ -185,25 +204,34 @@ def _read_job(request: Request, talk: Talk, wait_warm: Callable[[], None]) -> Jo
     if scene.shot is not None and scene.shot.frames > 1:
         talk.remark(f"frame 1 of {scene.shot.frames}; --frames 1-{scene.shot.frames} renders all")
     job = make_job(scene, request.shape, Settings(**request.settings, program=program_of(request)), wait_warm)
+    check_outputs(_written(request))  # now that all is read
     for output in request.outputs:
         check_side(output, job.frame.width, job.frame.height)
     return job
 
 
+def _written(request: Request) -> list[str]:
+    """All files that are to be written."""
+    return [*request.patterns, *(path for path in (request.probe_record, request.chrome_trace) if path is not None)]
+
+
 def _check_outputs(request: Request) -> None:
     for output in request.outputs:
         check_picture_path(output)
-    written = list(request.outputs)
-    for path in (request.stats, request.probe_record, request.chrome_trace):
+    if request.stats is not None:
+        check_path(request.stats)
+    for path in (request.probe_record, request.chrome_trace):
         if path is not None:
-            check_path(path)
-            written.append(path)
-    check_different(request.scene, written)
+            check_named(path)
+    note_read(request)
+    check_outputs(_written(request))
 
 
-def default_outputs(scene: str, several: bool = False) -> tuple[str, ...]:
-    """A .png of the scene's name, in the current directory; of several frames numbered ones."""
-    return (Path(scene).stem.replace("%", "_") + "_%04d.png" if several else Path(scene).stem + ".png",)
+def note_read(request: Request) -> None:
+    """Note what is named to be read, before it is: no output may be one of them."""
+    note(request.scene, "the same file as the scene")
+    if request.program is not None:
+        note(request.program, "the same file as the program")
 
 
 def _summary(picture: Picture) -> tuple[str, ...]:

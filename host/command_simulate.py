@@ -7,10 +7,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from raygrid.emulator.kernel_kinds import SIMULATOR
+from raygrid.host.inputs import STANDARD, check_outputs, note
 from raygrid.host.load import check_name
-from raygrid.host.outputs import check_different, check_path, check_picture_path, check_side, write_result
+from raygrid.host.outputs import (
+    check_folder,
+    check_path,
+    check_picture_path,
+    check_side,
+    made_folder,
+    write_result,
+)
 from raygrid.host.progress import Talk
-from raygrid.node.errors import OutputError
 
 if TYPE_CHECKING:
     from raygrid.host.simulate import Simulated
@@ -55,7 +62,11 @@ def run_simulate(request: Request) -> None:
     with Talk(request.quiet) as talk:
         done = _simulate(request, talk)
         stats = _write(request, done, talk)
-    for line in summary(done, stats):
+        lines = summary(done, stats)
+        if STANDARD in _written(request):  # where the summary would be in the way
+            talk.table(lines)
+            return
+    for line in lines:
         write_result(line)
 
 
@@ -73,6 +84,7 @@ def _simulate(request: Request, talk: Talk) -> Simulated:
         talk.remark(remark)
     if told_frame := frame_told(scene, request.frame):
         talk.remark(told_frame)
+    check_outputs(_written(request))  # now that all is read
     with compiling(talk):
         from raygrid.host.simulate import simulate_job
 
@@ -106,20 +118,26 @@ def compiling(talk: Talk, kind: str = SIMULATOR) -> Any:
 def _check_outputs(request: Request) -> None:
     for output in request.outputs:
         check_picture_path(output)
-    written = [*request.outputs]
     for path in (request.stats, request.table):
         if path is not None:
             check_path(path)
-            written.append(path)
-    check_different(request.scene, written)
     if request.plots is not None:
-        from raygrid.host.plots import FILES, pyplot
+        from raygrid.host.plots import pyplot
 
-        if not Path(request.plots).is_dir():
-            raise OutputError(f"{request.plots}: there is no such folder for plots, wanted one that is there")
+        check_folder(request.plots)
         pyplot()
-        for name in FILES:
-            check_path(Path(request.plots) / name)
+    note(request.scene, "the same file as the scene")
+    check_outputs(_written(request))
+
+
+def _written(request: Request) -> list[str]:
+    """All files that are to be written."""
+    written = [*request.outputs, *(path for path in (request.stats, request.table) if path is not None)]
+    if request.plots is not None:
+        from raygrid.host.plots import FILES
+
+        written += [str(Path(request.plots) / name) for name in FILES]
+    return written
 
 
 def _write(request: Request, done: Simulated, talk: Talk) -> dict[str, Any]:
@@ -140,7 +158,8 @@ def _write(request: Request, done: Simulated, talk: Talk) -> dict[str, Any]:
         from raygrid.host.plots import save_plots
 
         talk.phase("drawing plots")
-        save_plots(request.plots, done)
+        with made_folder(request.plots):
+            save_plots(request.plots, done)
     return stats
 
 

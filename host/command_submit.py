@@ -5,15 +5,26 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Any
 
-from raygrid.host.client import absolute
+from raygrid.host.client import absolute, pattern_at
 from raygrid.host.connection import ENDED, Connection, Listener
-from raygrid.host.frames import Turntable, check_pattern, path_of
+from raygrid.host.frames import (
+    Ends,
+    Turntable,
+    check_patterns,
+    default_outputs,
+    frames_of,
+    is_played,
+    path_of,
+    wants_shot,
+)
+from raygrid.host.inputs import STANDARD, check_outputs, note
 from raygrid.host.load import check_name, check_program_name
-from raygrid.host.outputs import check_different, check_path, check_picture_path, write_result
+from raygrid.host.misuse import OutputMisuse
+from raygrid.host.moving_pictures import check_played
+from raygrid.host.outputs import check_named, check_picture_path, write_result
 from raygrid.host.progress import PHASES, Talk
 from raygrid.host.service_files import find
 from raygrid.node.errors import ArrayError, SceneError
@@ -49,12 +60,13 @@ class Order:
 
 def run_submit(order: Order) -> None:
     """Queue a job and follow it. Raises RaygridError."""
-    order_outputs = order.outputs or _default_outputs(order)
-    _check(order, order_outputs)
+    order = _named(order)
+    _check(order)
+    order = replace(order, frames=_frames(order))
     connection = Connection(find(order.name))
     with contextlib.closing(connection):
         listener = connection.listen(NO_JOB)
-        answer = connection.ask(_request(order, order_outputs), listener=listener)
+        answer = connection.ask(_request(order), listener=listener)
         job = answer["job"]
         if order.detach:
             write_result(json.dumps({"job": job, "frames": answer["frames"]}) if order.as_json else str(job))
@@ -81,15 +93,37 @@ def run_wait(job: int, name: str, as_json: bool, quiet: bool) -> None:
         _follow(listener, job, facts["frames"], as_json, quiet)
 
 
-def _default_outputs(order: Order) -> tuple[str, ...]:
-    return (Path(order.scene).stem + (".png" if order.frames is None else "_%04d.png"),)
+def _of_shot(order: Order) -> bool:
+    """Whether frames of a shot are asked for, and not a picture of the scene as it stands. Raises OutputError."""
+    stats = [] if order.stats is None else [order.stats]
+    return wants_shot(order.frames, order.turntable is not None, (*order.outputs, *stats))
 
 
-def _check(order: Order, outputs: tuple[str, ...]) -> None:
+def _named(order: Order) -> Order:
+    """The same with the default output, if none was named."""
+    return order if order.outputs else replace(order, outputs=default_outputs(order.scene, _of_shot(order)))
+
+
+def _frames(order: Order) -> Ends | None:
+    """The frames of the job, as `render` has them: where none are named, but a shot is asked for, all of it.
+
+    Raises SceneError for a scene in which nothing moves.
+    """
+    if order.frames is not None or not _of_shot(order):
+        return order.frames
+    if order.turntable is not None:
+        return 1, order.turntable.frames
+    from raygrid.host.load import load_scene
+
+    numbers = frames_of(load_scene(order.scene), None)
+    return numbers[0], numbers[-1]
+
+
+def _check(order: Order) -> None:
     """What can be seen to be wrong before the array is asked. Raises SceneError, OutputError."""
     check_name(order.scene)
-    written = [*outputs] + ([] if order.stats is None else [order.stats])
-    for what, path in (("scene", order.scene), *(("output", path) for path in written)):
+    named = [*order.outputs] + ([] if order.stats is None else [order.stats])
+    for what, path in (("scene", order.scene), *(("output", path) for path in named)):
         absolute(what, path)
     if not os.path.isfile(order.scene):
         raise SceneError(f"{order.scene}: there is no such file")
@@ -97,17 +131,27 @@ def _check(order: Order, outputs: tuple[str, ...]) -> None:
         check_program_name(order.program)
     if order.program is not None and not os.path.isfile(order.program):
         raise SceneError(f"{order.program}: there is no such file")
-    for pattern in written:
-        check_pattern(pattern, order.frames)
-    first = None if order.frames is None else order.frames[0]
-    for pattern in outputs:
-        check_picture_path(path_of(pattern, first))
+    shot = _of_shot(order)
+    check_patterns(order.outputs, order.stats, order.frames, shot)
+    first = order.frames[0] if order.frames is not None else 1 if shot else None
+    written = [path_of(pattern, first) for pattern in order.outputs]
+    for path, pattern in zip(written, order.outputs, strict=True):
+        if path == STANDARD:
+            raise OutputMisuse("-: the output is standard output, wanted a file, since the service writes it")
+        if is_played(pattern, shot):
+            check_played(path)
+        else:
+            check_picture_path(path)
     if order.stats is not None:
-        check_path(path_of(order.stats, first))
-    check_different(order.scene, [path_of(pattern, first) for pattern in written])
+        written.append(path_of(order.stats, first))
+        check_named(written[-1])
+    note(order.scene, "the same file as the scene")
+    if order.program is not None:
+        note(order.program, "the same file as the program")
+    check_outputs(written)
 
 
-def _request(order: Order, outputs: tuple[str, ...]) -> Facts:
+def _request(order: Order) -> Facts:
     settings = {name: value for name, value in order.settings.items() if value is not None}
     if "size" in settings:
         settings["size"] = list(settings["size"])
@@ -117,8 +161,8 @@ def _request(order: Order, outputs: tuple[str, ...]) -> Facts:
         "scene": absolute("scene", order.scene),
         "settings": settings,
         "frames": None if order.frames is None else list(order.frames),
-        "outputs": [absolute("output", path) for path in outputs],
-        "stats": None if order.stats is None else absolute("stats", order.stats),
+        "outputs": [pattern_at("output", pattern) for pattern in order.outputs],
+        "stats": None if order.stats is None else pattern_at("stats", order.stats),
         "transfer": order.transfer,
         "budget": order.budget,
         "resume": order.resume,
@@ -161,8 +205,8 @@ class _Teller:
             self._talk.remark(event["text"])
         elif what == "fault":
             self._talk.remark(f"the array failed and was repaired: {event['text']}")
-        elif what == "frame" and not event["skipped"]:
-            for file in event["files"]:
+        elif what == "frame":
+            for file in (*([] if event["skipped"] else event["files"]), *event["played"]):
                 write_result(os.path.relpath(file) if _is_below(file) else file)
 
     def _progress(self, event: Facts) -> None:

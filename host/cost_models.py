@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, Strict, ValidationError
 
+from raygrid.host.inputs import note
 from raygrid.host.misuse import CostMisuse
 from raygrid.host.regular_file import read_regular
 from raygrid.host.scene_builder import shown
@@ -180,6 +181,7 @@ def load_cost_model(name: str) -> CostModel:
         data = (resources.files("raygrid.emulator") / "costs" / f"{name}.toml").read_bytes()
         return CostModel(name, _checked(Path(f"{name}.toml"), data))
     path = Path(name)
+    note(path, "the same file as the cost model")
     try:
         data = read_regular(path, LARGEST_FILE)
     except OSError as error:

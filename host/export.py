@@ -18,9 +18,10 @@ import numpy as np
 
 from raygrid.host.cameras import Camera, Span
 from raygrid.host.export_surfaces import MaterialWriter, surface_lines, vector
+from raygrid.host.inputs import check_outputs, note, noted
 from raygrid.host.job import DEFAULT_DEPTH, DEFAULT_SIZE
 from raygrid.host.load import load_scene
-from raygrid.host.outputs import check_different, check_path, write_whole
+from raygrid.host.outputs import check_path, write_whole
 from raygrid.host.scene import Scene
 from raygrid.host.shot import frame_told, still
 from raygrid.node.errors import SceneError
@@ -48,12 +49,14 @@ def export_file(
     """
     path = Path(scene).stem + ".pov" if output is None else str(output)
     check_path(path)
-    check_different(str(scene), [path])
-    read = load_scene(scene)
-    told = frame_told(read, frame)
-    if told is not None:
-        tell(told)
-    export_pov(read, path, depth, highlights, frame)
+    with noted():  # called from Python, too
+        note(scene, "the same file as the scene")
+        check_outputs([path])
+        read = load_scene(scene)
+        told = frame_told(read, frame)
+        if told is not None:
+            tell(told)
+        export_pov(read, path, depth, highlights, frame)
     return path
 
 

@@ -20,15 +20,19 @@ FORMULA = {"square": "A + B n + C R / n^2", "cubic": "A + B n + C R / n^3"}
 Fits = dict[tuple[str, str], Fit]
 
 
+def report_paths(folder: str, scenes: Sequence[str]) -> list[str]:
+    """The files of a report: the table, the text and a plot for each scene."""
+    names = ["law.csv", "law.md", *(f"law_{Path(scene).stem}.png" for scene in dict.fromkeys(scenes))]
+    return [str(Path(folder) / name) for name in names]
+
+
 def write_report(folder: str, points: Sequence[Point], fits: Fits, cost: CostModel, command: str) -> list[str]:
     """Write law.csv, law.md and a plot for each scene; returns their paths. Raises OutputError."""
-    place = Path(folder)
-    paths = [str(place / "law.csv"), str(place / "law.md")]
-    write_whole(paths[0], lambda file: file.writelines([_table(points, fits).encode()]))
     scenes = list(dict.fromkeys(point.scene for point in points))
-    for scene in scenes:
-        paths.append(str(place / f"law_{Path(scene).stem}.png"))
-        save_figure(_figure(scene, {kind: fits[s, kind] for s, kind in fits if s == scene}), paths[-1])
+    paths = report_paths(folder, scenes)
+    write_whole(paths[0], lambda file: file.writelines([_table(points, fits).encode()]))
+    for scene, path in zip(scenes, paths[2:], strict=True):
+        save_figure(_figure(scene, {kind: fits[s, kind] for s, kind in fits if s == scene}), path)
     text = "\n".join(_report(scenes, points, fits, cost, command)) + "\n"
     write_whole(paths[1], lambda file: file.writelines([text.encode()]))
     return paths

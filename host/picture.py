@@ -13,7 +13,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.host.outputs import FORMATS, SUMS, check_picture_path, check_side, write_whole
+from raygrid.host.outputs import FORMATS, SUMS, check_picture_path, check_side, suffix_of, write_whole
 from raygrid.host.transfer import TRANSFERS, to_bytes
 from raygrid.node.errors import OutputError
 from raygrid.node.pixels import UNIT
@@ -56,13 +56,14 @@ class Picture:
         return to_bytes(self.sums, self.samples, transfer)
 
     def save(self, path: str | Path, transfer: str = "srgb", texts: Mapping[str, str] | None = None) -> None:
-        """Write a .npy of the sums, or a picture (.png .jpg .webp .tif .bmp .ppm). It appears whole or not at all.
+        """Write a .npy of the sums, or a picture (.png .jpg .webp .tif .bmp .ppm). It appears whole or not at all; - is
+        standard output, a PNG.
 
         texts  kept beside the picture in a .png, keyword -> Latin-1 text
         Raises OutputError.
         """
         check_picture_path(path)
-        if Path(path).suffix.lower() == SUMS:
+        if suffix_of(path) == SUMS:
             write_whole(path, self._write_sums)
         else:
             write_whole(path, self._encoder(path, transfer, texts))
@@ -77,7 +78,7 @@ class Picture:
         from PIL import Image
 
         check_side(path, self.sums.shape[1], self.sums.shape[0])
-        kind = FORMATS[Path(path).suffix.lower()]
+        kind = FORMATS[suffix_of(path)]
         image = Image.fromarray(self.bytes(transfer))
         options = kind.options | ({"pnginfo": _png_texts(texts)} if texts and kind.name == "PNG" else {})
         return lambda file: image.save(file, kind.name, **options)
@@ -97,7 +98,7 @@ class Ahead:
         self._picture, self._transfer = picture, transfer
         self._encoded: dict[str, memoryview] = {}
         small = picture.sums.size <= 3 * MOST_AHEAD
-        self._paths = [path for path in paths if small and Path(path).suffix.lower() in FORMATS]
+        self._paths = [path for path in paths if small and suffix_of(path) in FORMATS]
         self._thread = threading.Thread(target=self._encode, name="encoding", daemon=True)
         if self._paths:
             self._thread.start()
@@ -120,7 +121,7 @@ class Ahead:
 
 def prepare(paths: Sequence[str | Path]) -> None:
     """Import what writing these files needs, while there is time for it."""
-    if any(Path(path).suffix.lower() in FORMATS for path in paths):
+    if any(suffix_of(path) in FORMATS for path in paths):
         from PIL import Image
 
         Image.preinit()

@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import IO, Any
 
 from raygrid.emulator.samples import Sample
-from raygrid.host.outputs import check_path
+from raygrid.host.inputs import check_kept, note
+from raygrid.host.outputs import check_named, open_now
 from raygrid.host.probe_sums import NodeState, sample_record
 from raygrid.node.errors import OutputError
 
@@ -41,10 +42,11 @@ class Record:
     """
 
     def __init__(self, path: str, shape: tuple[int, int, int], rate: float) -> None:
-        check_path(path)
+        check_named(path)
+        check_kept(path)
         self._path = path
         try:
-            self._file: IO[str] | None = open(path, "w", buffering=1, encoding="utf-8")  # noqa: SIM115  (closed by `close`)
+            self._file: IO[str] | None = open_now(path)
         except OSError as error:
             raise OutputError(f"{path}: the file cannot be written ({error.strerror})") from None
         self._write(json.dumps(header(shape, rate)))
@@ -85,11 +87,12 @@ class Record:
 
 @dataclass(frozen=True)
 class Replay:
-    """A recording: of an array of this shape, at this rate."""
+    """A recording: of an array of this shape, at this rate. `close` it if not all samples are taken."""
 
     shape: tuple[int, int, int]
     rate: float
     samples: Iterator[Sample]
+    close: Callable[[], None]
 
 
 def replay(path: str) -> Replay:
@@ -97,6 +100,7 @@ def replay(path: str) -> Replay:
     from pydantic import TypeAdapter, ValidationError
 
     reader = TypeAdapter(Sample)
+    note(path, "the same file as the recording")
     try:
         file = open(path, encoding="utf-8")  # noqa: SIM115  (closed by its reader, or below)
     except OSError as error:
@@ -117,7 +121,7 @@ def replay(path: str) -> Replay:
         nx, ny, nz = head["array"]
         if head["is"] != "array" or head["version"] != VERSION or not all(_is_side(side) for side in (nx, ny, nz)):
             raise ValueError(head)
-        return Replay((nx, ny, nz), float(head["rate"]), samples())
+        return Replay((nx, ny, nz), float(head["rate"]), samples(), file.close)
     except (OSError, ValueError, KeyError, TypeError):
         file.close()
         raise OutputError(f"{path}: the first line is not that of a recording of probes, version {VERSION}") from None

@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 from raygrid.emulator.samples import Sample
 from raygrid.host.chrome_trace import ChromeTrace
-from raygrid.host.outputs import check_path
+from raygrid.host.inputs import check_outputs
+from raygrid.host.outputs import check_named
 from raygrid.host.probe_record import Record
 from raygrid.host.probe_sums import Gauges, NodeState
 from raygrid.node.errors import OutputError
@@ -38,23 +39,34 @@ class Probing:
     def __init__(self, shape: Shape, rate: float, record: str | None = None, chrome_trace: str | None = None) -> None:
         self.gauges = Gauges(shape)
         self._trouble: OutputError | None = None
-        if chrome_trace is not None:
-            check_path(chrome_trace)
+        written = [path for path in (record, chrome_trace) if path is not None]
+        for path in written:
+            check_named(path)
+        check_outputs(written)
         self._trace_path = chrome_trace
         self._trace = None if chrome_trace is None else ChromeTrace(shape)
-        self._record = None if record is None else Record(record, shape, rate)
+        # opened when the first sample comes: by then all is read that must not be written over
+        self._record: Record | None = None
+        self._record_of = None if record is None else (record, shape, rate)
 
     def take(self, sample: Sample) -> NodeState:
         """Take a sample in."""
         state = self.gauges.take(sample)
-        if self._record is not None and self._trouble is None:
+        if self._trouble is None:
             try:
-                self._record.take(state)
+                self._open()
+                if self._record is not None:
+                    self._record.take(state)
             except OutputError as error:
                 self._trouble = error
         if self._trace is not None:
             self._trace.take(sample)
         return state
+
+    def _open(self) -> None:
+        about, self._record_of = self._record_of, None
+        if about is not None:
+            self._record = Record(*about)
 
     def check(self) -> None:
         """Raise OutputError if what has come could not be written."""
@@ -63,9 +75,10 @@ class Probing:
 
     def close(self) -> None:
         """Write what is not written yet. May be called twice. Raises OutputError."""
-        record, self._record = self._record, None
         trace, self._trace = self._trace, None
         try:
+            self._open()
+            record, self._record = self._record, None
             if record is not None:
                 record.close()
         finally:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 from pathlib import Path
 
+from raygrid.host.inputs import note
 from raygrid.host.load import check_program_name
 from raygrid.host.scene_files import read_bytes
 from raygrid.node.errors import ProtocolError, SceneError
@@ -15,6 +16,7 @@ def read_program(path: str | Path) -> Program:
     """The program of a file. Raises SceneError for what is none."""
     file = Path(path)
     check_program_name(path)
+    note(file, "the same file as the program")
     try:
         return make_program(file.stem, read_bytes(file).decode("utf-8"))
     except UnicodeDecodeError as error:

@@ -37,7 +37,9 @@ class Talk:
         self._expected = 1
         self._begun = time.monotonic()
         self._told_compiling: set[str] = set()
-        self._of = ""
+        self._frames = 0  # of a shot; 0: there is none
+        self._before = (0, 0)  # frames that are done, and how many of them were there already
+        self._shot_begun, self._number = 0.0, 0
 
     def __enter__(self) -> Talk:
         if self._live:
@@ -58,8 +60,11 @@ class Talk:
             self._bar = None
 
     def phase(self, what: str, total: int | None = None) -> None:
-        """Say what is being done now. `total`: how much it is, if that is known."""
+        """Say what is being done now. `total`: how much it is, if that is known; of a shot the bar is that of all frames."""
         self._begun = time.monotonic()
+        if self._frames and self._bar is not None:
+            self._bar.update(self._task, description=f"frame {self._number} ({self._frames} in all): {what}")
+            return
         if self._bar is not None:
             self._bar.remove_task(self._task)  # a task once given a total cannot be without one again
             self._task = self._bar.add_task(printable(what), total=total, detail="")
@@ -123,9 +128,25 @@ class Talk:
                 detail=detail,
             )
 
-    def of(self, what: str) -> None:
-        """What the phases of a picture are of: "frame 3 of 48: "."""
-        self._of = what
+    def shot(self, frames: int) -> None:
+        """What follows are so many frames of a shot, and the bar shows how much of them all is done; 0: no more."""
+        self._frames = 0
+        self.phase("", frames or None)
+        self._frames, self._before, self._shot_begun = frames, (0, 0), time.monotonic()
+
+    def frame(self, number: int, done: int, skipped: int) -> None:
+        """This frame is next; `done` of the shot are done, `skipped` of which were there already."""
+        self._number, self._before = number, (done, skipped)
+        self._show_shot(0.0)
+
+    def _show_shot(self, part: float) -> None:
+        """How much of the shot is done, `part` of the present frame, and how long the rest will take."""
+        if self._bar is None:
+            return
+        done, skipped = self._before
+        share = (done - skipped + part) / max(self._frames - skipped, 1)
+        left = _left(share, max(time.monotonic() - self._shot_begun, 1e-3))
+        self._bar.update(self._task, completed=done + part, detail=f"{done} of {self._frames} done, {left}")
 
     def expect(self, samples: int) -> None:
         """How many primary rays there will be, about."""
@@ -134,7 +155,9 @@ class Talk:
     def watch(self, phase: str, now: Progress | None) -> None:
         """Told by `render_job`."""
         if now is None:
-            self.phase(self._of + PHASES[phase], self._expected if phase == "trace" else None)
+            self.phase(PHASES[phase], self._expected if phase == "trace" else None)
+        elif self._frames:
+            self._show_shot(self._part(now))
         elif self._bar is not None:
             spent = max(time.monotonic() - self._begun, 1e-3)
             detail = f"{sum(now.died) / spent / 1e6:.2f} M packets/s, {_left(self._part(now), spent)}"

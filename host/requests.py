@@ -19,7 +19,7 @@ from pydantic import (
     model_validator,
 )
 
-from raygrid.host.frames import LAST_FRAME, MOST_FRAMES, Turntable, check_pattern
+from raygrid.host.frames import LAST_FRAME, MOST_FRAMES, Turntable, check_job
 from raygrid.host.wire import Message, shown
 from raygrid.node.errors import OutputError, ProtocolError
 
@@ -57,7 +57,7 @@ WANTED = {
     "settings.min_weight": "a number from 0 to 1e+30",
     "settings.highlights": _SWITCH,
     "settings.split": "balanced or uniform",
-    "frames": f"the first and the last of at most {MOST_FRAMES:,} frames, from 0 to {LAST_FRAME}",
+    "frames": f"the first and the last of at most {MOST_FRAMES:,} frames, from 1 to {LAST_FRAME}",
     "turntable": "a number of frames",
     "turntable.frames": f"a whole number from 1 to {MAX_FRAMES:,}",
     "turntable.scene": _SWITCH,
@@ -94,7 +94,7 @@ def _few_pixels(size: tuple[int, int]) -> tuple[int, int]:
 
 Size = Annotated[tuple[Side, Side], Strict(False), AfterValidator(_few_pixels)]  # msgpack has lists, no tuples
 Path = Annotated[str, Field(max_length=LONGEST_PATH), AfterValidator(_absolute)]
-Frame = Annotated[int, Field(ge=0, le=LAST_FRAME)]
+Frame = Annotated[int, Field(ge=1, le=LAST_FRAME)]
 Number = Annotated[int, Field(ge=1, le=(1 << 53))]
 
 
@@ -126,7 +126,8 @@ class Submit(Strictly):
     """A job: frames of a scene.
 
     frames   first and last, or None: one frame, whose files are named as they are
-    outputs  patterns of files, in which %04d stands for the frame's number
+    outputs  patterns of files, in which %04d stands for the frame's number and %% for a %; with frames .gif, .webp and
+             .mp4 hold all of them
     client   whose turn it is in: clients are served in turn
     turntable  makes a shot of a still scene
     program  file of a program that the nodes are to run
@@ -156,8 +157,7 @@ class Submit(Strictly):
             if not first <= last < first + MOST_FRAMES:
                 raise ValueError(f"frames {first} to {last} came, wanted 1 to {MOST_FRAMES} of them")
         try:
-            for pattern in (*self.outputs, *filter(None, [self.stats])):
-                check_pattern(pattern, self.frames)
+            check_job(self.outputs, self.stats, self.frames)
         except OutputError as error:
             raise ValueError(str(error)) from None
         return self

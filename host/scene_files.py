@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
+from raygrid.host.inputs import note
 from raygrid.host.regular_file import Irregular, TooLong, open_regular, read_open
 from raygrid.host.sources import look_at, recording
 from raygrid.node.errors import SceneError
@@ -99,6 +100,7 @@ def take_texels(count: int, most: int, where: str) -> None:
 
 
 def _read(path: Path, needed: bool) -> bytes | None:
+    note(path)
     sources, reach = recording(), _reach.get()
     look = look_at(path) if sources is not None else None
     if needed and reach is not None:

@@ -5,19 +5,17 @@ from __future__ import annotations
 import hashlib
 from collections import OrderedDict
 from collections.abc import Hashable
-from dataclasses import astuple, dataclass, replace
-from functools import lru_cache
-from importlib.metadata import version
+from dataclasses import dataclass, replace
 from typing import Any
 
-from raygrid.host.frames import Turntable
+from raygrid.host.frames import Ends, Turntable, frames_of
 from raygrid.host.job import Job, Settings, make_job, samples_expected
 from raygrid.host.load import load_scene
+from raygrid.host.picture_digest import contents_of_shot, picture_digest
 from raygrid.host.scene import Scene
 from raygrid.host.shot_jobs import ShotJobs
 from raygrid.host.sources import Sources, recorded
 from raygrid.host.turntable import turntable
-from raygrid.node.errors import SceneError
 from raygrid.node.motions import Moves
 
 MOST_KEPT = 4  # scenes and settings
@@ -40,13 +38,9 @@ class Wanted:
     frames: tuple[int, int] | None = None
 
     def check_frames(self, scene: Scene) -> None:
-        """Raise SceneError for frames that the scene's shot has not: before the first of the job, not after many."""
-        if scene.shot is None or self.frames is None:
-            return
-        first, last = self.frames
-        if not 1 <= first <= last <= scene.shot.frames:
-            came = f"frame {first}" if first == last else f"frames {first}-{last}"
-            raise SceneError(f"{scene.name}: {came} came, wanted frames of 1 to {scene.shot.frames}")
+        """Raise SceneError for frames that the scene has not: before the first of the job, not after many."""
+        if self.frames is not None:
+            frames_of(scene, self.frames)
 
 
 @dataclass(frozen=True)
@@ -57,6 +51,7 @@ class Ready:
     contents  a digest of the scene's files, and of the turntable it stands on
     expected  primary rays that there will be, about
     remarks   on the scene
+    files     that the scene is made of
     """
 
     job: Job
@@ -64,17 +59,11 @@ class Ready:
     contents: str
     expected: int
     remarks: tuple[str, ...]
+    files: tuple[str, ...] = ()
 
-    def digest(self, frame: int | None, transfer: str) -> str:
-        """A digest of all that the picture depends on: contents, settings, frame, transfer, and this program.
-
-        The split is not part of it, for the picture does not depend on it.
-        """
-        program = self.job.settings.program
-        settings = astuple(replace(self.job.settings, split="", program=None))
-        digest = None if program is None else program.digest
-        words = repr((_version(), self.contents, settings, digest, frame, transfer))
-        return hashlib.sha256(words.encode()).hexdigest()
+    def digest(self, frame: int | Ends | None, transfer: str) -> str:
+        """As `picture_digest`."""
+        return picture_digest(self.contents, self.job.settings, frame, transfer)
 
 
 @dataclass(frozen=True)
@@ -84,11 +73,6 @@ class _Shot:
     scene: Scene
     jobs: ShotJobs
     shared: str
-
-
-@lru_cache
-def _version() -> str:
-    return version("raygrid")
 
 
 class SceneStore:
@@ -119,11 +103,13 @@ class SceneStore:
         key = replace(wanted, frames=None)
         if scene.shot is not None or wanted.turn is not None:
             return self._shot_frame(scene, sources, wanted, frame)
+        wanted.check_frames(scene)
         kept = self._ready.pop(key, None)
         if kept is None or kept[0] is not scene:
             job = make_job(scene, self._shape, wanted.settings)
             loaded = _digest_of_load(job) + _digest_of_program(wanted.settings)
-            kept = scene, Ready(job, loaded, sources.digest(), samples_expected(job), tuple(scene.remarks))
+            about = samples_expected(job), tuple(scene.remarks), tuple(sources.files)
+            kept = scene, Ready(job, loaded, sources.digest(), *about)
         _keep(self._ready, key, kept)
         return kept[1]
 
@@ -136,7 +122,8 @@ class SceneStore:
         remarks = tuple(scene.remarks)
         if frame is None and scene.shot is not None and scene.shot.frames > 1:
             remarks += (f"frame 1 of {scene.shot.frames}; --frames 1-{scene.shot.frames} renders all",)
-        return Ready(job, loaded, f"{sources.digest()} {wanted.turn}", samples_expected(job), remarks)
+        about = samples_expected(job), remarks, tuple(sources.files)
+        return Ready(job, loaded, contents_of_shot(sources, wanted.turn), *about)
 
     def _shot(self, scene: Scene, wanted: Wanted) -> _Shot:
         key = replace(wanted, frames=None)

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 from raygrid.emulator.launch import ONE_THREAD, SIGNALS
 from raygrid.emulator.places import process_state
-from raygrid.host.outputs import PART
+from raygrid.host.parts import FILE as PART
 from raygrid.host.pickled import Shared, pack, receiving
 from raygrid.node.errors import RaygridError
 from raygrid.node.motions import Groups
@@ -46,27 +46,22 @@ class Begun:
     """A frame that can be traced, or needs not.
 
     ready    for the array; None if all files are there already
-    files    path -> digest
-    stats    where the statistics go, None: nowhere
-    remarks  on the scene
+    files    path -> digest, of this frame alone
+    remarks  on the scene and on what is written
     """
 
     ready: Ready | None
     files: dict[str, str]
-    stats: str | None
     remarks: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Finished:
-    """A picture and where it goes: path -> digest; the statistics to `stats_path`, unless that is None."""
+    """A picture as its numbers."""
 
     sums: NDArray[np.int64]
     samples: int
     stats: dict[str, Any]
-    files: dict[str, str]
-    stats_path: str | None
-    transfer: str
 
 
 class ScribeError(RaygridError):

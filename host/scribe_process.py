@@ -11,8 +11,8 @@ import contextlib
 import os
 import signal
 import socket
-import stat
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,20 +20,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from raygrid.emulator.nursery import end_with_parent
-from raygrid.host.frames import path_of
 from raygrid.host.pickled import Shared, pack, receiving
 from raygrid.host.scene_store import Ready, SceneStore
 from raygrid.host.scribe import SHARED, Begun, Finished
 from raygrid.host.told import told
-from raygrid.node.errors import OutputError, RaygridError
+from raygrid.node.errors import RaygridError
 from raygrid.node.surfaces import SurfaceSet
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from raygrid.host.job_files import JobFiles
+    from raygrid.host.picture import Picture
     from raygrid.host.requests import Submit
     from raygrid.node.programs import Program
     from raygrid.node.tables import Frame
+
+FILMS = "films"  # in the state directory: frames that wait to be played, a directory a job
 
 
 class Work:
@@ -41,43 +44,82 @@ class Work:
 
     def __init__(self, shape: tuple[int, int, int], journal: Path, outside: bool) -> None:
         self._store, self._journal = SceneStore(shape, outside), journal
+        self._films = journal.parent / FILMS
+        self._files: JobFiles | None = None
+        self._checked = -1  # the job whose names of files were looked at last
 
-    def begin(self, request: Submit, frame: int | None, programs: bool) -> Begun:
+    def begin(self, job: int, request: Submit, frame: int | None, programs: bool) -> Begun:
         """Read the scene, make a frame of it ready, and look at where its files go. Raises RaygridError."""
+        from raygrid.host.inputs import noted
+        from raygrid.host.job_files import JobFiles
         from raygrid.host.load import check_taken
-        from raygrid.host.outputs import check_path, check_picture_path, check_side
+        from raygrid.host.moving_pictures import Reel
 
         check_taken(request.program, programs)  # a job of the journal may have had another array
-        files = [path_of(pattern, frame) for pattern in request.outputs]
-        stats = None if request.stats is None else path_of(request.stats, frame)
-        for file in (*files, *filter(None, [stats])):
-            _check_kind(file)
+        self._request = request
         ready = self._store.frame(request.wanted(), frame)
-        digest = ready.digest(frame, request.transfer)
-        size = ready.job.frame.width, ready.job.frame.height
-        begun = Begun(_for_the_array(ready), dict.fromkeys(files, digest), stats, ready.remarks)
-        if request.resume and self._there(files, stats, digest, size):
-            return replace(begun, ready=None)
-        for file in files:
-            check_picture_path(file)
-            check_side(file, *size)
-        if stats is not None:
-            check_path(stats)
-        return begun
+        self._files = files = JobFiles(request, frame, ready, Reel(str(self._films / str(job))))
+        remarks = (*ready.remarks, *files.remarks)
+        with noted() as inputs:
+            files.note(inputs)
+            if job != self._checked:
+                self._sweep()
+                files.check_all()
+                self._checked = job
+            if request.resume and files.are_there(self._recorded):
+                return Begun(None, files.digests, remarks)
+            files.check()
+        return Begun(_for_the_array(ready), files.digests, remarks)
 
-    def _there(self, files: list[str], stats: str | None, digest: str, size: tuple[int, int]) -> bool:
+    def again(self, number: int) -> Ready:
+        """Another frame of the same job, made ready. Raises RaygridError."""
+        return _for_the_array(self._store.frame(self._request.wanted(), number))
+
+    def finish(self, finished: Finished) -> None:
+        """Write the files of the frame that was begun, each whole or not at all. Raises OutputError."""
+        with self._guarded() as files:
+            files.write(_picture(finished))
+
+    def lacking(self) -> list[int]:
+        """The frames that files which hold all frames lack."""
+        return [] if self._files is None else self._files.lacking(self._recorded)
+
+    def keep(self, number: int, finished: Finished) -> None:
+        """Let one of them wait to be played. Raises OutputError."""
+        with self._guarded() as files:
+            files.keep(number, _picture(finished))
+
+    def play(self) -> dict[str, str]:
+        """Write the files that hold all frames; path -> digest. Raises OutputError."""
+        with self._guarded() as files:
+            return files.play(self._recorded)
+
+    @contextlib.contextmanager
+    def _guarded(self) -> Iterator[JobFiles]:
+        """The files of the frame that was begun; none is written over what the frame is made of."""
+        from raygrid.host.inputs import noted
+
+        assert self._files is not None
+        with noted() as inputs:
+            self._files.note(inputs)
+            yield self._files
+
+    def _recorded(self, path: str, digest: str) -> bool:
+        """Whether the journal vouches for a file. One that cannot be read vouches for nothing."""
         from raygrid.host.journal import Journal
-        from raygrid.host.whole import is_whole
 
-        def recorded(path: str, digest: str) -> bool:
-            with contextlib.closing(Journal(self._journal)) as journal:
-                return journal.is_recorded(path, digest)
-
-        if stats is not None and not Path(stats).is_file():
-            return False
-        with contextlib.suppress(RaygridError):  # a journal that cannot be read vouches for nothing
-            return all(is_whole(file, digest, *size, recorded) for file in files)
+        with contextlib.suppress(RaygridError), contextlib.closing(Journal(self._journal)) as journal:
+            return journal.is_recorded(path, digest)
         return False
+
+    def _sweep(self) -> None:
+        """Remove the frames that wait for jobs which have ended."""
+        from raygrid.host.job_files import sweep_films
+        from raygrid.host.journal import Journal
+
+        if self._films.is_dir():
+            with contextlib.suppress(RaygridError), contextlib.closing(Journal(self._journal)) as journal:
+                sweep_films(self._films, journal)
 
     def background(self, program: Program, frame: Frame, step: tuple[float, float, float]) -> NDArray[np.int64]:
         """What the rays see by a program that never enter the world box, int64 (pixels, 3). Raises ProtocolError."""
@@ -87,20 +129,6 @@ class Work:
         for_host(program).add_missed(frame, step, sums)
         return sums
 
-    def finish(self, finished: Finished) -> None:
-        """Write the files of a frame, each whole or not at all. Raises OutputError."""
-        from raygrid.host.picture import Picture
-        from raygrid.host.stats import save_stats
-        from raygrid.host.whole import KEYWORD
-
-        picture = Picture(finished.sums, finished.samples, finished.stats)
-        for file, digest in finished.files.items():
-            _check_kind(file)
-            picture.save(file, finished.transfer, {KEYWORD: digest})
-        if finished.stats_path is not None:
-            _check_kind(finished.stats_path)
-            save_stats(finished.stats_path, finished.stats)
-
     def warm(self) -> None:
         """Import what larger frames need, while there is nothing else to do."""
         import raygrid.emulator.pilot
@@ -109,15 +137,10 @@ class Work:
         import raygrid.host.whole  # noqa: F401
 
 
-def _check_kind(path: str) -> None:
-    """Raise OutputError for what only takes bytes while somebody reads them. A device such as /dev/null is let pass."""
-    try:
-        mode = os.stat(path).st_mode
-    except OSError:
-        return
-    kind = "pipe" if stat.S_ISFIFO(mode) else "socket" if stat.S_ISSOCK(mode) else "disk" if stat.S_ISBLK(mode) else ""
-    if kind:
-        raise OutputError(f"{path}: the output is a {kind}, wanted a file")
+def _picture(finished: Finished) -> Picture:
+    from raygrid.host.picture import Picture
+
+    return Picture(finished.sums, finished.samples, finished.stats)
 
 
 def _for_the_array(ready: Ready) -> Ready:

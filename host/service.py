@@ -232,8 +232,9 @@ class Service:
         self.counts["skipped" if facts["skipped"] else "done"] += 1
         if not entry.ended:
             seconds = facts["seconds"].get("whole", 0.0)
-            self.jobs.frame_done(entry, facts["skipped"], seconds, facts["files"])
+            self.jobs.frame_done(entry, facts["skipped"], seconds, facts["files"] | facts["played"])
             about = {"frame": task.frame, "files": list(facts["files"]), "skipped": facts["skipped"]}
+            about["played"] = list(facts["played"])
             self.tell_followers(entry.job, {"what": "frame", **about, "seconds": facts["seconds"]})
             self.tell_end(entry)
 
@@ -296,7 +297,8 @@ class Service:
         entry, frame = found
         request = self.jobs.request(entry.job)
         self._serial += 1
-        self.task = Task(self._serial, entry.job, None if request.frames is None else frame, request)
+        number = None if request.frames is None else frame
+        self.task = Task(self._serial, entry.job, number, request, last=not entry.todo)
         self.entry, self._given = entry, time.monotonic()
         self.jobs.begun(entry)
         self.worker.give(self.task)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from raygrid.emulator.driver import Progress
     from raygrid.host.job import Job
+    from raygrid.host.picture import Picture
     from raygrid.host.requests import Submit
     from raygrid.host.scene_store import Ready
 
@@ -38,12 +39,13 @@ class Interrupted(Exception):
 
 @dataclass(frozen=True)
 class Task:
-    """A frame to be rendered. `frame` is None if the job names no frames."""
+    """A frame to be rendered. `frame` is None if the job names no frames; `last`: no other of the job is left."""
 
     serial: int
     job: int
     frame: int | None
     request: Submit
+    last: bool = True
 
 
 class Event(NamedTuple):
@@ -55,7 +57,8 @@ class Event(NamedTuple):
     begun                              a task was begun
     note      text                     a remark on its scene
     moved     phase, part, in_flight   how far it is; `part` of its rays from 0 to 1
-    done      files, skipped, seconds  its files are there, path -> digest
+    done      files, played, skipped, seconds  its files are there, path -> digest; `played`: those that hold all
+                                       frames of the job, if they were written now
     failed    why                      it cannot be done
     interrupted                        it was given up, as asked
     fault     what                     the array failed and was repaired
@@ -162,6 +165,7 @@ class Worker(threading.Thread):
             try:
                 given = self._inbox.get(timeout=LOOK_SECONDS if self.keeper.there else LAUNCH_SECONDS)
             except queue.Empty:
+                self._sweep()
                 self._repair(self.keeper.check)
                 continue
             if isinstance(given, Task):
@@ -220,20 +224,32 @@ class Worker(threading.Thread):
         began = time.perf_counter()
         request = task.request
         self._tell(task, "read", 0.0, 0)
-        begun: Begun = self._scribe.ask("begin", request, task.frame, self._options.programs)
+        begun: Begun = self._scribe.ask("begin", task.job, request, task.frame, self._options.programs)
         self._note(task, begun.remarks)
-        facts = {"files": begun.files, "skipped": begun.ready is None, "stats": begun.stats}
-        if begun.ready is None:
-            return Event("done", task, facts | {"seconds": {}})
-        ready = replace(begun.ready, job=replace(begun.ready.job, add_missed=self._add_missed))
-        picture = self.keeper.render(ready, request.budget, self._watch(task, ready))
-        self._tell(task, "write", 1.0, 0)
-        where = begun.files, begun.stats, request.transfer
-        self._scribe.ask("finish", Finished(picture.sums, picture.samples, picture.stats, *where))
+        facts: dict[str, Any] = {"files": begun.files, "skipped": begun.ready is None, "played": {}, "seconds": {}}
+        if begun.ready is not None:
+            picture = self._picture(task, begun.ready)
+            self._tell(task, "write", 1.0, 0)
+            self._scribe.ask("finish", Finished(picture.sums, picture.samples, picture.stats))
+            facts["seconds"] = dict(picture.stats["wall_seconds"]) | {"whole": round(time.perf_counter() - began, 6)}
+        if task.last:
+            facts["played"] = self._play(task)
+        return Event("done", task, facts)
+
+    def _play(self, task: Task) -> dict[str, str]:
+        """Write the files that hold all frames of a job, whose last is done; frames that have gone are rendered again."""
+        for number in self._scribe.ask("lacking"):
+            picture = self._picture(task, self._scribe.ask("again", number))
+            self._scribe.ask("keep", number, Finished(picture.sums, picture.samples, picture.stats))
+        played: dict[str, str] = self._scribe.ask("play")
+        return played
+
+    def _picture(self, task: Task, ready: Ready) -> Picture:
+        ready = replace(ready, job=replace(ready.job, add_missed=self._add_missed))
+        picture = self.keeper.render(ready, task.request.budget, self._watch(task, ready))
         if (blank := picture.blank()) is not None:
             self._note(task, [blank if task.frame is None else f"frame {task.frame}: {blank}"])
-        seconds = dict(picture.stats["wall_seconds"]) | {"whole": round(time.perf_counter() - began, 6)}
-        return Event("done", task, facts | {"seconds": seconds})
+        return picture
 
     def _add_missed(self, job: Job, sums: NDArray[np.int64]) -> None:
         """The background of a program runs in the scribe: it may never come to an end."""

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
+import functools
 import json
 import os
+import shutil
 import socket
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -77,6 +81,17 @@ def array(name: str) -> Iterator[Service]:
 def on(name: str, *arguments: str, **options: Any) -> Outcome:
     """Run a command on that array."""
     return as_process(*arguments, "--name", name, **options)
+
+
+@functools.cache
+def shot_of(scene: Path, frames: int) -> Path:
+    """A file of a shot of so many frames in which nothing of the scene moves: all have the same bits."""
+    folder = Path(tempfile.mkdtemp())
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    shutil.copy(scene, folder)
+    file = folder / f"{scene.stem}.toml"
+    file.write_text(f'include = "{scene.name}"\n[shot]\nframes = {frames}\n')
+    return file
 
 
 def sums(scene: Path | str, **settings: Any) -> NDArray[np.int64]:
@@ -164,6 +179,7 @@ __all__ = [
     "name",
     "on",
     "scribe_of",
+    "shot_of",
     "state_directory",
     "sums",
     "up",

@@ -41,7 +41,7 @@ def test_a_job_comes_back_from_the_journal_as_it_was():
 
 A_PATH = "wanted an absolute path of at most 4096 characters"
 A_SIZE = "wanted sides of 1 to 65536 and at most 268,435,456 pixels, such as 640x480"
-FRAMES = "wanted the first and the last of at most 100,000 frames, from 0 to 999999999"
+FRAMES = "wanted the first and the last of at most 100,000 frames, from 1 to 999999999"
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ FRAMES = "wanted the first and the last of at most 100,000 frames, from 0 to 999
             "/%d/%d.png: the output has 2 places for the frame's number, .*",
         ),
         ({"frames": [2, 1], "outputs": ["/%d.png"]}, "frames 2 to 1 came, wanted 1 to 100000 of them"),
-        ({"frames": [0, 100_000], "outputs": ["/%d.png"]}, "frames 0 to 100000 came, wanted 1 to 100000 of them"),
+        ({"frames": [1, 100_001], "outputs": ["/%d.png"]}, "frames 1 to 100001 came, wanted 1 to 100000 of them"),
         ({"frames": [-1, 1], "outputs": ["/%d.png"]}, f"frames came as [-1, 1], {FRAMES}"),
         ({"frames": [1, 2, 3], "outputs": ["/%d.png"]}, f"frames came as [1, 2, 3], {FRAMES}"),
         ({"frames": 5}, f"frames came as 5, {FRAMES}"),

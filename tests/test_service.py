@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 from support_cli import RAYGRID, as_process, one_line, warm_kernels
 from support_render import SCENES
-from support_service import SIZE, Peer, array, name, on, sums, up, watch_until
+from support_service import SIZE, Peer, array, name, on, shot_of, sums, up, watch_until
 from support_terminal import HIDE, SHOW, Terminal
 
 import raygrid
@@ -45,16 +45,19 @@ def test_a_job_s_files_have_the_bits_of_render(array, tmp_path):
 
 def test_submit_names_the_files_as_it_follows(name, tmp_path):
     shutil.copy(TINY, tmp_path)
-    outcome = on(name, "submit", "tiny.nff", *SMALL, "--frames", "3-5", "-o", "f_%02d.npy", cwd=tmp_path)
+    shot = str(shot_of(TINY, 7))
+    outcome = on(name, "submit", shot, *SMALL, "--frames", "3-5", "-o", "f_%02d.npy", cwd=tmp_path)
     assert outcome == (0, "f_03.npy\nf_04.npy\nf_05.npy\n", "")
     for frame in (3, 4, 5):
-        assert np.array_equal(np.load(tmp_path / f"f_0{frame}.npy"), sums(TINY))
+        assert np.array_equal(np.load(tmp_path / f"f_0{frame}.npy"), sums(shot_of(TINY, 7)))
     assert on(name, "submit", "tiny.nff", *SMALL, cwd=tmp_path).out == "tiny.png\n"
-    assert on(name, "submit", "tiny.nff", *SMALL, "--frames", "7", cwd=tmp_path).out == "tiny_0007.png\n"
+    assert on(name, "submit", shot, *SMALL, "--frames", "7", cwd=tmp_path).out == "tiny_0007.png\n"
 
 
 def test_json_has_a_line_for_each_event(name, tmp_path):
-    outcome = on(name, "submit", str(TINY), *SMALL, "--frames", "1-2", "-o", str(tmp_path / "%d.png"), "--json")
+    outcome = on(
+        name, "submit", str(shot_of(TINY, 2)), *SMALL, "--frames", "1-2", "-o", str(tmp_path / "%d.png"), "--json"
+    )
     events = [json.loads(line) for line in outcome.out.splitlines()]
     assert [event["frame"] for event in events if event["what"] == "frame"] == [1, 2]
     assert events[-1] == {
@@ -69,7 +72,7 @@ def test_several_clients_at_once_get_their_own_frames(name, tmp_path):
 
     def work(k):
         with raygrid.connect(name) as array:
-            scene = (TINY, KINDS, TINY)[k]
+            scene = shot_of((TINY, KINDS, TINY)[k], 4)
             results[k] = array.submit(scene, output=tmp_path / f"{k}_%d.npy", frames=(1, 4), **settings[k]).wait()
 
     threads = [threading.Thread(target=work, args=(k,)) for k in range(3)]
@@ -78,7 +81,7 @@ def test_several_clients_at_once_get_their_own_frames(name, tmp_path):
     for thread in threads:
         thread.join()
     for k, scene in enumerate((TINY, KINDS, TINY)):
-        wanted = sums(scene, **settings[k])
+        wanted = sums(shot_of(scene, 4), **settings[k])
         assert len(results[k].files) == 4
         for file in results[k].files:
             assert np.array_equal(np.load(file), wanted)
@@ -89,7 +92,7 @@ def test_a_scene_stays_loaded_until_it_changes(array, tmp_path):
     shutil.copy(TINY, scene)
     array.submit(scene, output=tmp_path / "a.npy", size=SIZE).wait()
     floods = array.status()["floods"]
-    array.submit(scene, output=tmp_path / "b_%d.npy", frames=(1, 3), size=SIZE).wait()
+    array.submit(scene, output=tmp_path / "b.npy", size=SIZE).wait()
     array.submit(scene, output=tmp_path / "c.npy", size=SIZE, samples=2, depth=2).wait()
     assert array.status()["floods"] == floods
     text = scene.read_text()
@@ -105,7 +108,7 @@ def test_resume_skips_what_is_whole_and_of_this_job_only(array, tmp_path):
 
     def submit(**settings):
         job = array.submit(
-            TINY, output=tmp_path / "f_%d.png", frames=(1, 5), resume=True, **({"size": SIZE} | settings)
+            shot_of(TINY, 5), output=tmp_path / "f_%d.png", frames=(1, 5), resume=True, **({"size": SIZE} | settings)
         )
         return job.wait()
 
@@ -152,7 +155,9 @@ def test_a_reset_begins_the_running_frame_again(array, tmp_path):
 
 
 def test_a_short_job_does_not_wait_for_the_end_of_a_long_one(array, tmp_path):
-    long = array.submit(TINY, output=tmp_path / "long_%d.npy", frames=(1, 10_000), size=SIZE, client="one")
+    long = array.submit(
+        shot_of(TINY, 10_000), output=tmp_path / "long_%d.npy", frames=(1, 10_000), size=SIZE, client="one"
+    )
     array.submit(TINY, output=tmp_path / "short.npy", size=SIZE, client="other").wait()
     left = next(job for job in array.jobs() if job["job"] == long.job)
     assert left["state"] == "running"
@@ -210,7 +215,18 @@ def test_control_c_cancels_the_job(name, array, tmp_path):
 
 
 def test_a_terminal_sees_how_far_the_frames_are(name, array, tmp_path):
-    arguments = [RAYGRID, "submit", str(TINY), "--name", name, *SMALL, "--frames", "1-40", "-o", "f_%d.png"]
+    arguments = [
+        RAYGRID,
+        "submit",
+        str(shot_of(TINY, 40)),
+        "--name",
+        name,
+        *SMALL,
+        "--frames",
+        "1-40",
+        "-o",
+        "f_%d.png",
+    ]
     with Terminal(arguments, tmp_path) as terminal:
         terminal.wait_for(r"job \d+ .*frame \d+: \w+.*, \d+ of 40 done")
         assert terminal.wait_end() == 0
@@ -281,9 +297,9 @@ def test_another_array_runs_beside_it_and_ends_when_its_jobs_are_done(name, arra
     assert said["array"] == [2, 1, 1]
     with raygrid.connect("second") as second:
         assert second.pid == said["pid"] != array.pid
-        second.submit(TINY, output=tmp_path / "a_%d.npy", frames=(1, 5), size=SIZE)
+        second.submit(shot_of(TINY, 5), output=tmp_path / "a_%d.npy", frames=(1, 5), size=SIZE)
         assert second.down(finish=True) >= 0
-    assert np.array_equal(np.load(tmp_path / "a_5.npy"), sums(TINY))
+    assert np.array_equal(np.load(tmp_path / "a_5.npy"), sums(shot_of(TINY, 5)))
     assert process_state(said["pid"]) in ("", "Z")
     one_line(on("second", "down"), 1, "raygrid: no array named 'second' runs: .*")
 

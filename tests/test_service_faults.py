@@ -7,13 +7,14 @@ import resource
 import shutil
 import signal
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
 from support_cli import RAYGRID, TINY, as_process, one_line, warm_kernels
 from support_processes import wait_dead
 from support_render import SCENES
-from support_service import SIZE, array, end, name, on, scribe_of, state_directory, sums, up, watch_until
+from support_service import SIZE, array, end, name, on, scribe_of, shot_of, state_directory, sums, up, watch_until
 from support_terminal import Terminal
 
 import raygrid
@@ -68,7 +69,18 @@ def test_the_job_of_a_client_that_was_killed_goes_on(name, array, tmp_path, numb
 
 
 def test_a_client_that_does_not_read_holds_nobody_up(name, array, tmp_path):
-    arguments = ["submit", TINY, "--name", name, "--size", "64x48", "--frames", "1-30", "-o", tmp_path / "%d.npy"]
+    arguments = [
+        "submit",
+        shot_of(Path(TINY), 30),
+        "--name",
+        name,
+        "--size",
+        "64x48",
+        "--frames",
+        "1-30",
+        "-o",
+        tmp_path / "%d.npy",
+    ]
     process = subprocess.Popen([RAYGRID, *arguments, "--json"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
     with process:
         assert process.stdout is not None
@@ -144,8 +156,8 @@ def test_a_reset_and_a_cancel_reach_an_array_that_hangs(array, tmp_path):
 
 def test_jobs_survive_a_crash_of_the_service(name, tmp_path):
     with raygrid.connect(name) as array:
-        short = array.submit(TINY, output=tmp_path / "f_%d.npy", frames=(1, 60), size=SIZE)
-        other = array.submit(KINDS, output=tmp_path / "k_%d.npy", frames=(1, 60), size=SIZE)
+        short = array.submit(shot_of(Path(TINY), 60), output=tmp_path / "f_%d.npy", frames=(1, 60), size=SIZE)
+        other = array.submit(shot_of(KINDS, 60), output=tmp_path / "k_%d.npy", frames=(1, 60), size=SIZE)
         watch_until(array, short.job, "frame", from_frame=3)
         nodes = [node["pid"] for node in array.status()["nodes"]]
         os.kill(array.pid, signal.SIGKILL)
@@ -163,7 +175,7 @@ def test_jobs_survive_a_crash_of_the_service(name, tmp_path):
     for frame in (1, 2):
         assert (tmp_path / f"f_{frame}.npy").stat().st_mtime_ns == times[f"f_{frame}.npy"], "rendered again"
     assert len(list(tmp_path.iterdir())) == 120
-    assert np.array_equal(np.load(tmp_path / "f_60.npy"), sums(TINY))
+    assert np.array_equal(np.load(tmp_path / "f_60.npy"), sums(shot_of(Path(TINY), 60)))
     assert np.array_equal(np.load(tmp_path / "k_60.npy"), sums(KINDS))
 
 
@@ -252,7 +264,7 @@ def test_without_room_for_the_journal_jobs_are_refused_until_there_is_some(name,
 
 
 def test_when_the_disk_fills_up_meanwhile_the_array_goes_on_and_the_journal_catches_up(name, array, tmp_path):
-    job = array.submit(TINY, output=tmp_path / "f_%d.npy", frames=(1, 200), size=SIZE)
+    job = array.submit(shot_of(Path(TINY), 200), output=tmp_path / "f_%d.npy", frames=(1, 200), size=SIZE)
     watch_until(array, job.job, "frame", from_frame=2)
     with no_room(array):
         with pytest.raises(ArrayError, match=rf"job {job.job} failed: frame \d+: .*npy: the file cannot be written"):
@@ -262,7 +274,9 @@ def test_when_the_disk_fills_up_meanwhile_the_array_goes_on_and_the_journal_catc
     assert array.status()["journal"]["trouble"] == ""
     listed = {row["job"]: row["state"] for row in array.jobs()}
     assert listed[job.job] == "failed"
-    again = array.submit(TINY, output=tmp_path / "f_%d.npy", frames=(1, 200), size=SIZE, resume=True).wait()
+    again = array.submit(
+        shot_of(Path(TINY), 200), output=tmp_path / "f_%d.npy", frames=(1, 200), size=SIZE, resume=True
+    ).wait()
     assert again.frames == 200
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".raygrid")]
 
@@ -270,7 +284,7 @@ def test_when_the_disk_fills_up_meanwhile_the_array_goes_on_and_the_journal_catc
 def test_an_output_directory_that_goes_away_fails_the_job_in_one_line(name, array, tmp_path):
     folder = tmp_path / "out"
     folder.mkdir()
-    job = array.submit(TINY, output=folder / "f_%d.npy", frames=(1, 1000), size=SIZE)
+    job = array.submit(shot_of(Path(TINY), 1000), output=folder / "f_%d.npy", frames=(1, 1000), size=SIZE)
     watch_until(array, job.job, "frame", from_frame=2)
     shutil.rmtree(folder, ignore_errors=True)
     while folder.exists():  # a frame may have been written meanwhile
