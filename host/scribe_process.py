@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from raygrid.node.programs import Program
     from raygrid.node.tables import Frame
 
+UNANSWERED = ("warm", "sweep")
 FILMS = "films"  # in the state directory: frames that wait to be played, a directory a job
 
 
@@ -63,7 +64,7 @@ class Work:
         with noted() as inputs:
             files.note(inputs)
             if job != self._checked:
-                self._sweep()
+                self.sweep()
                 files.check_all()
                 self._checked = job
             if request.resume and files.are_there(self._recorded):
@@ -112,7 +113,7 @@ class Work:
             return journal.is_recorded(path, digest)
         return False
 
-    def _sweep(self) -> None:
+    def sweep(self) -> None:
         """Remove the frames that wait for jobs which have ended."""
         from raygrid.host.job_files import sweep_films
         from raygrid.host.journal import Journal
@@ -162,7 +163,7 @@ def _serve(door: socket.socket, work: Work) -> None:
                 answer = "done", getattr(work, what)(*arguments)
             except Exception as error:
                 answer = "failed", told(error)
-            if what != "warm":
+            if what not in UNANSWERED:
                 for piece in pack(answer, shared):
                     door.sendall(piece)
 

@@ -114,6 +114,7 @@ class Worker(threading.Thread):
         self.keeper.on_sample = lambda sample: post(Event("sample", None, {"sample": sample}))
         arguments = [str(options.journal), *map(str, options.shape), *["--outside"] * options.outside]
         self._scribe = Scribe(arguments, self._look)
+        self._unswept = True  # whether frames may wait for a job that has ended
 
     # --- what the service says; callable from its thread ----------------------------------------------
 
@@ -165,10 +166,13 @@ class Worker(threading.Thread):
             try:
                 given = self._inbox.get(timeout=LOOK_SECONDS if self.keeper.there else LAUNCH_SECONDS)
             except queue.Empty:
-                self._sweep()
+                if self._unswept:
+                    self._scribe.tell("sweep")
+                    self._unswept = False
                 self._repair(self.keeper.check)
                 continue
             if isinstance(given, Task):
+                self._unswept = True
                 self._do(given)
             elif given == "reset" and self._repair(self.keeper.reset):
                 self._post(Event("reset"))
