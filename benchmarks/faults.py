@@ -28,7 +28,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from faults_bed import Case, Outcome
+from faults_bed import Case, Outcome, warm
 from faults_kinds import STAGES, Stage
 from faults_rest import Leftovers, own_places
 from faults_table import Kept, Row, render, write
@@ -46,7 +46,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=2, help="how often to go through all cases")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", default="", metavar="KIND", help="kinds whose name begins so")
+    parser.add_argument("--only", action="append", metavar="KIND", help="kinds whose name begins so; may be repeated")
     parser.add_argument("--on", default="", metavar="WHERE", help="only on what is called so, such as 2x2x2 or service")
     parser.add_argument("--case", default="", metavar="TEXT", help="only cases with this in their name")
     parser.add_argument(
@@ -60,6 +60,7 @@ def main() -> int:
     kept = Kept(options.seed, options.rounds, options.write is not None and not (options.only or options.case))
     if options.fresh:
         kept.forget()
+    warm()
     with tempfile.TemporaryDirectory(prefix="rgf-") as folder, own_places(Path(folder)):
         for stage in STAGES:
             run_stage(stage, Path(folder), options, kept, begun)
@@ -76,7 +77,9 @@ def run_stage(stage: Stage, folder: Path, options: Any, kept: Kept, begun: float
     kinds = {
         name: cases
         for name, cases in stage.kinds.items()
-        if name.startswith(options.only) and stage.name.startswith(options.on) and not kept.has(name, stage.name)
+        if name.startswith(tuple(options.only or [""]))
+        and stage.name.startswith(options.on)
+        and not kept.has(name, stage.name)
     }
     why = stage.cannot() if kinds else ""
     if not kinds or why:

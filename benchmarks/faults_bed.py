@@ -16,7 +16,8 @@ from typing import Any, Self
 import numpy as np
 
 from raygrid.emulator import driver
-from raygrid.emulator.array import Array
+from raygrid.emulator.array import WARM_SECONDS, Array
+from raygrid.emulator.launch import Nursery
 from raygrid.host.job import Job, Settings, make_job
 from raygrid.host.load import load_scene
 from raygrid.host.picture import Picture
@@ -263,6 +264,12 @@ def truth(shape: Shape, frame: Frame) -> np.ndarray:
 def right(picture: Picture, shape: Shape, frame: Frame = SMALL) -> bool:
     """Whether a picture has the bits of an undisturbed run."""
     return np.array_equal(picture.sums, truth(shape, frame))
+
+
+def warm() -> None:
+    """Compile what is not in the cache yet, so that no case has to wait for it."""
+    with Nursery.start() as nursery:
+        nursery.wait_warm(WARM_SECONDS)
 
 
 def text_of(shape: Shape) -> str:
