@@ -33,7 +33,7 @@ from faults_kinds import STAGES, Stage
 from faults_rest import Leftovers, own_places
 from faults_table import Kept, Row, render, write
 
-LIMIT = 120.0  # seconds that any case may take
+LIMIT = 60.0  # seconds that any case may take
 DUMP_AFTER = 60.0  # seconds after that in which even the end of a case did not come: the campaign ends with a traceback
 
 
@@ -57,7 +57,7 @@ def main() -> int:
     options = parser.parse_args()
     faulthandler.enable()
     begun = time.monotonic()
-    kept = Kept(options.seed, options.rounds, options.write is not None and not (options.only or options.case))
+    kept = Kept(options.seed, options.rounds, _is_whole(options))
     if options.fresh:
         kept.forget()
     warm()
@@ -70,6 +70,11 @@ def main() -> int:
         write(options.write, table)
         kept.forget()
     return 0 if kept.good else 1
+
+
+def _is_whole(options: Any) -> bool:
+    """Whether all of it is to be run, and written."""
+    return options.write is not None and not (options.only or options.on or options.case or options.share)
 
 
 def run_stage(stage: Stage, folder: Path, options: Any, kept: Kept, begun: float) -> None:

@@ -270,6 +270,8 @@ def warm() -> None:
     """Compile what is not in the cache yet, so that no case has to wait for it."""
     with Nursery.start() as nursery:
         nursery.wait_warm(WARM_SECONDS)
+    with Array.launch((1, 1, 1), programs=True, patience=WARM_SECONDS) as array:
+        render(array, programmed())
 
 
 def text_of(shape: Shape) -> str:
