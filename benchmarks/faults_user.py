@@ -162,6 +162,9 @@ def _kept_out(rng: random.Random) -> list[Case]:
     def do(bed: ServiceBed, way: str, seed: int) -> Outcome:
         _open_up(bed)
         tries = _tries(bed)[way]
+        (bed.root / "open to all").write_text("x")
+        if not as_nobody(partial(_read, bed.root / "open to all")):  # or what follows would prove nothing
+            raise Wrong("another user cannot read what is open to all")
         for attempt in random.Random(seed).sample(tries, min(12, len(tries))):
             got = as_nobody(attempt)
             if got:
