@@ -33,7 +33,7 @@ from faults_kinds import STAGES, Stage
 from faults_rest import Leftovers, own_places
 from faults_table import Kept, Row, render, write
 
-LIMIT = 60.0  # seconds that any case may take
+LIMIT = 120.0  # seconds that any case may take
 DUMP_AFTER = 60.0  # seconds after that in which even the end of a case did not come: the campaign ends with a traceback
 
 
@@ -56,6 +56,7 @@ def main() -> int:
     parser.add_argument("--fresh", action="store_true", help="take nothing from a run that was interrupted")
     options = parser.parse_args()
     faulthandler.enable()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # and leave nothing behind
     begun = time.monotonic()
     kept = Kept(options.seed, options.rounds, _is_whole(options))
     if options.fresh:

@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 
 from faults_bed import SCENES, Case, Outcome
-from faults_service import NAME, ServiceBed, Wrong, neighbour, one_line, right, submit
+from faults_service import NAME, ServiceBed, Wrong, modest, neighbour, one_line, right, submit
 
 import raygrid
 from raygrid.node.errors import RaygridError
@@ -264,7 +264,7 @@ def _try(bed: ServiceBed, make: Make, seed: int) -> Outcome:
     bed.empty(folder)
     scene = make(folder, random.Random(seed))
     begun = time.perf_counter()
-    with neighbour(bed), raygrid.connect(NAME) as array:
+    with modest(), neighbour(bed), raygrid.connect(NAME) as array:
         job = submit(array, bed.folder / "hostile.npy", scene)
         try:
             job.wait()

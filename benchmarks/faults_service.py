@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -31,6 +32,7 @@ SHAPE = (2, 1, 1)
 SIZE, SAMPLES = SETTINGS.size, SETTINGS.samples
 TINY, MOBILE = SCENES / "tiny.nff", SCENES / "mobile.toml"
 COMMAND_SECONDS = 100.0
+MOST_MEMORY = 3e9  # bytes of the service and all its processes, whatever a scene brings
 MORE_THREADS, MORE_DESCRIPTORS = 8, 4  # a pool of threads for requests, and databases that are opened now and then
 
 
@@ -231,6 +233,30 @@ def neighbour(bed: ServiceBed, frames: int = 4) -> Iterator[None]:
         job.wait()
     for frame in range(1, frames + 1):
         right(bed.folder / f"neighbour_{frame}.npy", frame=frame)
+
+
+@contextlib.contextmanager
+def modest() -> Iterator[None]:
+    """The service and its processes never hold more than MOST_MEMORY in this block. Raises Wrong."""
+    over, most = threading.Event(), 0
+
+    def look() -> None:
+        nonlocal most
+        while not over.wait(0.1):
+            for process in services():
+                with contextlib.suppress(psutil.Error):
+                    every = [process, *process.children(recursive=True)]
+                    most = max(most, sum(one.memory_info().rss for one in every))
+
+    thread = threading.Thread(target=look)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+    if most > MOST_MEMORY:
+        raise Wrong(f"the service held {most / 1e9:.1f} GB, wanted at most {MOST_MEMORY / 1e9:g}")
 
 
 def submit(array: Service, output: Path, scene: Path = TINY, **more: Any) -> Any:
