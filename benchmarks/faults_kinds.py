@@ -19,6 +19,7 @@ import faults_ends
 import faults_journal
 import faults_links
 import faults_nodes
+import faults_outputs
 import faults_signals
 import faults_time
 import faults_user
@@ -34,6 +35,7 @@ ARRAY_KINDS: dict[str, Cases] = {
 }
 SERVICE_KINDS: dict[str, Cases] = {
     **faults_content.GROUPS,
+    **faults_outputs.GROUPS,
     **faults_cancel.GROUPS,
     **faults_crowd.GROUPS,
     **faults_signals.GROUPS,

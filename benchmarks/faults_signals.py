@@ -16,6 +16,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+import psutil
 from faults_bed import Case, Outcome
 from faults_service import MOBILE, NAME, ServiceBed, Wrong, right, submit, wait_until
 
@@ -164,6 +165,26 @@ def _nodes(rng: random.Random) -> list[Case]:
     return [Case(f"three times {sign.name}", partial(do, seed=rng.random(), sign=sign)) for sign in signs]
 
 
+def _any_process(rng: random.Random) -> list[Case]:
+    """Whatever process the service has, nodes or others, is struck while its queue is worked off, at several moments."""
+
+    def do(bed: ServiceBed, seed: float, sign: signal.Signals) -> Outcome:
+        own = random.Random(seed)
+        jobs = _queue(bed)
+        service = psutil.Process(bed.record.pid)
+        for _ in range(3):
+            time.sleep(own.random() * 0.3)
+            found = sorted(service.children(recursive=True), key=lambda process: process.pid)
+            if found:
+                with contextlib.suppress(psutil.Error):
+                    own.choice(found).send_signal(sign)
+        _all_done(bed, jobs)
+        return Outcome("same", ready=(0.0,))
+
+    signs = (signal.SIGKILL, signal.SIGSTOP, signal.SIGTERM)
+    return [Case(f"three times {sign.name}", partial(do, seed=rng.random(), sign=sign)) for sign in signs]
+
+
 def _fork_server(rng: random.Random) -> list[Case]:
     """The fork server is stopped or killed, and a node killed: repaired while idle, or by the next frame."""
 
@@ -212,5 +233,6 @@ GROUPS = {
     "service killed while clients submit": _killed_while_submitting,
     "service stopped and continued": _stopped,
     "nodes of a service struck": _nodes,
+    "any process of a service struck": _any_process,
     "fork server of a service": _fork_server,
 }
