@@ -52,7 +52,7 @@ check: style types test ## style, types and tests
 bench: $(STAMP) ## measure speed and write docs/performance.md
 	$(BIN)/python benchmarks/bench.py --write docs/performance.md
 
-faults: $(STAMP) ## break arrays in every way known, and write docs/faults.md; some ten minutes
+faults: $(STAMP) ## break arrays and services in every way known, and write docs/faults.md; some 25 minutes
 	$(BIN)/python benchmarks/faults.py --write docs/faults.md
 
 fuzz: $(STAMP) ## send a million malformed packets and messages into a running array; some minutes

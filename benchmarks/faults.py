@@ -1,151 +1,164 @@
-"""The fault campaign: faults of every kind at named moments, seeded; each must end in the right bits or a clear refusal.
+"""The fault campaign: faults of every kind at seeded moments; each must end in the right bits or a clear refusal.
 
-    python benchmarks/faults.py                            all of it
-    python benchmarks/faults.py --rounds 1 --only stop     a little
-    python benchmarks/faults.py --write docs/faults.md
+    python benchmarks/faults.py                                        all of it
+    python benchmarks/faults.py --rounds 1 --only stop                 a little: kinds whose name begins so
+    python benchmarks/faults.py --seed 1 --only journal --case "of 40" one case again, by its name
+    python benchmarks/faults.py --write docs/faults.md                 and write the table, as `make faults` does
 
-A case is one fault, or one frame over bad links. It counts as `same` if the frame that it hit came out with the bits
-of an undisturbed run, as `refused` if it ended in one line of an error that raygrid raises on purpose and the array
-gave the right frame afterwards, and otherwise as `wrong`. A case that takes longer than LIMIT seconds is a hang, and
-ends the campaign with a traceback of every thread. At the end nothing may be left: processes, files, descriptors.
+A case is one fault, or one frame over bad links. It counts as `same` if what it hit came out with the bits of an
+undisturbed run, as `refused` if it ended in one line of an error that raygrid raises on purpose and the right frame came
+afterwards, as `hang` if it took longer than LIMIT seconds, and otherwise as `wrong`. After each kind, and at the end,
+nothing may be left: processes, files, sockets, descriptors, threads.
+
+With --write each kind is kept in a file under build/ as soon as it has run, and the table is written anew: a run that was
+interrupted goes on where it was, as long as the seed, the rounds and the sources are the same (--fresh: from the beginning).
 """
 
 from __future__ import annotations
 
 import argparse
 import faulthandler
-import os
 import random
-import statistics
+import signal
 import sys
 import tempfile
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
-import faults_ends
-import faults_links
-import faults_nodes
-from faults_bed import SHAPES, Bed, Case, Leftovers, text_of
+from faults_bed import Case, Outcome, warm
+from faults_kinds import STAGES, Stage
+from faults_rest import Leftovers, own_places
+from faults_table import Kept, Row, render, write
 
 LIMIT = 120.0  # seconds that any case may take
-Cases = Callable[[random.Random], list[Case]]
-GROUPS: dict[str, Cases] = {**faults_nodes.GROUPS, **faults_links.GROUPS, **faults_ends.GROUPS}
+DUMP_AFTER = 60.0  # seconds after that in which even the end of a case did not come: the campaign ends with a traceback
 
 
-@dataclass
-class Row:
-    """What came of the cases of one group on one shape."""
-
-    cases: int = 0
-    told: int = 0  # cases in which a fault was told; others did no harm, such as a limit that was not reached
-    same: int = 0
-    refused: int = 0
-    wrong: list[str] = field(default_factory=list)
-    noticed: list[float] = field(default_factory=list)  # seconds from the fault until it was told
-    ready: list[float] = field(default_factory=list)  # seconds from there until the array was ready again
+class Hang(BaseException):
+    """A case took longer than LIMIT."""
 
 
 def main() -> int:
-    """Run the cases; returns the exit code: 0 if none was wrong and nothing was left behind."""
+    """Run the cases; returns the exit code: 0 if none was wrong, none hung and nothing was left behind."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=2, help="how often to go through all cases")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--only", default="", help="groups whose name begins so")
+    parser.add_argument("--only", action="append", metavar="KIND", help="kinds whose name begins so; may be repeated")
+    parser.add_argument("--on", default="", metavar="WHERE", help="only on what is called so, such as 2x2x2 or service")
+    parser.add_argument("--case", default="", metavar="TEXT", help="only cases with this in their name")
+    parser.add_argument(
+        "--share", type=int, default=0, metavar="N", help="at most N cases of each kind, chosen by the seed"
+    )
     parser.add_argument("--write", type=Path, help="write the table into this file, below its line of dashes")
+    parser.add_argument("--fresh", action="store_true", help="take nothing from a run that was interrupted")
     options = parser.parse_args()
     faulthandler.enable()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # and leave nothing behind
     begun = time.monotonic()
-    rows: dict[tuple[str, tuple[int, int, int]], Row] = {}
-    leftovers = Leftovers()
-    with tempfile.TemporaryDirectory(prefix="rgfaults-") as folder:
-        for shape in SHAPES:
-            with Bed(shape, Path(folder)) as bed:
-                for name, cases in GROUPS.items():
-                    if name.startswith(options.only):
-                        row = rows[name, shape] = Row()
-                        for number in range(options.rounds):
-                            # the same faults on every shape and whatever is run besides
-                            chosen = cases(random.Random(f"{options.seed} {name} {number}"))
-                            for case in chosen:
-                                run(bed, case, row)
-                        say(name, shape, row)
-    left = leftovers.find()
-    for line in left:
-        print(f"left behind: {line}")
-    table = render(rows, left, options.seed, time.monotonic() - begun)
+    kept = Kept(options.seed, options.rounds, _is_whole(options))
+    if options.fresh:
+        kept.forget()
+    warm()
+    with tempfile.TemporaryDirectory(prefix="rgf-") as folder, own_places(Path(folder)):
+        for stage in STAGES:
+            run_stage(stage, Path(folder), options, kept, begun)
+    table = render(kept, time.monotonic() - begun)
     print(table)
     if options.write is not None:
         write(options.write, table)
-    return 1 if left or any(row.wrong for row in rows.values()) else 0
+        kept.forget()
+    return 0 if kept.good else 1
 
 
-def run(bed: Bed, case: Case, row: Row) -> None:
-    """One case."""
-    faulthandler.dump_traceback_later(LIMIT, exit=True)
+def _is_whole(options: Any) -> bool:
+    """Whether all of it is to be run, and written."""
+    return options.write is not None and not (options.only or options.on or options.case or options.share)
+
+
+def run_stage(stage: Stage, folder: Path, options: Any, kept: Kept, begun: float) -> None:
+    """All kinds of one stage that are wanted and not done yet."""
+    kinds = {
+        name: cases
+        for name, cases in stage.kinds.items()
+        if name.startswith(tuple(options.only or [""]))
+        and stage.name.startswith(options.on)
+        and not kept.has(name, stage.name)
+    }
+    why = stage.cannot() if kinds else ""
+    if not kinds or why:
+        if why:
+            print(f"{stage.name}: not run: {why}", flush=True)
+        return
+    leftovers = Leftovers(folder)
+    with ExitStack() as stack:
+        bed = stack.enter_context(stage.make(folder))
+        for name, cases in kinds.items():
+            row = Row(name, stage.name)
+            kept.begin(row)
+            for number in range(options.rounds):
+                # the same faults on every stage and whatever is run besides
+                for case in chosen(cases(random.Random(f"{options.seed} {name} {number}")), options):
+                    run(bed, case, row)
+            row.left += bed.left()
+            say(row)
+            kept.keep(row)
+            if options.write is not None:
+                write(options.write, render(kept, time.monotonic() - begun, unfinished=True))
+    for line in leftovers.find():
+        print(f"left behind by {stage.name}: {line}", flush=True)
+        kept.leave(f"{stage.name}: {line}")
+
+
+def chosen(cases: list[Case], options: Any) -> list[Case]:
+    """Those that are wanted of a round."""
+    found = [case for case in cases if options.case in case.name]
+    if options.share and len(found) > options.share:
+        return random.Random(options.seed).sample(found, options.share)
+    return found
+
+
+@contextmanager
+def limited() -> Iterator[None]:
+    """Raises Hang in the block when its time is over; when even that does not help, ends with all tracebacks."""
+
+    def late(*_: Any) -> None:
+        raise Hang
+
+    before = signal.signal(signal.SIGALRM, late)
+    faulthandler.dump_traceback_later(LIMIT + DUMP_AFTER, exit=True)
+    signal.setitimer(signal.ITIMER_REAL, LIMIT)
     try:
-        outcome = bed.run(case)
+        yield
     finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
         faulthandler.cancel_dump_traceback_later()
-    row.cases += 1
-    row.told += bool(outcome.ready) or outcome.what == "refused"
-    row.same += outcome.what == "same"
-    row.refused += outcome.what == "refused"
-    if outcome.what == "wrong":
-        row.wrong.append(f"{case.name}: {outcome.why}")
-        print(f"WRONG {text_of(bed.shape)} {case.name}: {outcome.why}", flush=True)
-    row.noticed += outcome.noticed
-    row.ready += outcome.ready
+        signal.signal(signal.SIGALRM, before)
 
 
-def say(name: str, shape: tuple[int, int, int], row: Row) -> None:
+def run(bed: Any, case: Case, row: Row) -> None:
+    """One case."""
+    begun = time.monotonic()
+    try:
+        with limited():
+            outcome = bed.run(case)
+    except Hang:
+        outcome = Outcome("hang", f"not over within {LIMIT:g} s")
+        with limited():
+            bed.renew()
+    row.count(outcome, f"{case.name}: {outcome.why}")
+    if outcome.what in ("wrong", "hang"):
+        print(f"{outcome.what.upper()} {row.where}, {row.name}: {case.name}: {outcome.why}", flush=True)
+    elif time.monotonic() - begun > 10.0:
+        print(f"{row.where}, {row.name}: {case.name}: {time.monotonic() - begun:.1f} s", flush=True)
+
+
+def say(row: Row) -> None:
     """A line while it goes on."""
-    print(
-        f"{text_of(shape)} {name}: {row.cases} cases, {row.same} same, {row.refused} refused, {len(row.wrong)} wrong",
-        flush=True,
-    )
-
-
-def render(rows: dict[tuple[str, tuple[int, int, int]], Row], left: list[str], seed: int, seconds: float) -> str:
-    """The table as Markdown."""
-    lines = [
-        "| fault | array | cases | told | same bits | refused | wrong | told after, s | then ready after, s |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
-    for (name, shape), row in rows.items():
-        times = f"{spread(row.noticed)} | {spread(row.ready)}"
-        lines.append(
-            f"| {name} | {text_of(shape)} | {row.cases} | {row.told} | {row.same} | {row.refused} | {len(row.wrong)} | {times} |"
-        )
-    cases, wrong = sum(row.cases for row in rows.values()), sum(len(row.wrong) for row in rows.values())
-    same, refused = sum(row.same for row in rows.values()), sum(row.refused for row in rows.values())
-    told = sum(row.told for row in rows.values())
-    lines += [
-        f"| all | | {cases} | {told} | {same} | {refused} | {wrong} | | |",
-        "",
-        f"Hangs: 0. Left behind: {len(left)}. Seed {seed}, {seconds:.0f} s of wall time on {processors()} processors. "
-        "Times are the median and, in brackets, the most.",
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def processors() -> int:
-    """Processors of this computer that the campaign may use."""
-    return len(os.sched_getaffinity(0))
-
-
-def spread(values: list[float]) -> str:
-    """Median and most."""
-    return f"{statistics.median(values):.2f} ({max(values):.2f})" if values else ""
-
-
-def write(path: Path, table: str) -> None:
-    """Replace what stands below the line of dashes."""
-    head, dashes, _ = path.read_text().partition("\n---\n")
-    if not dashes:
-        raise SystemExit(f"{path}: there is no line of dashes, wanted one above the table")
-    path.write_text(f"{head}{dashes}\n{table}")
+    bad = f"{len(row.wrong)} wrong, {len(row.hangs)} hangs, {len(row.left)} left"
+    print(f"{row.where} {row.name}: {row.cases} cases, {row.same} same, {row.refused} refused, {bad}", flush=True)
 
 
 if __name__ == "__main__":

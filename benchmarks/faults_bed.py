@@ -1,9 +1,10 @@
-"""What the fault campaign runs on: an array that lives through all cases, moments at which to strike, and leftovers."""
+"""What the fault campaign runs on: an array that lives through all cases, and moments at which to strike."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -13,13 +14,15 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-import psutil
 
-from raygrid.emulator import driver, places
-from raygrid.emulator.array import Array
+from raygrid.emulator import driver
+from raygrid.emulator.array import WARM_SECONDS, Array
+from raygrid.emulator.launch import Nursery
 from raygrid.host.job import Job, Settings, make_job
 from raygrid.host.load import load_scene
 from raygrid.host.picture import Picture
+from raygrid.host.program_file import read_program
+from raygrid.host.shot_jobs import ShotJobs
 from raygrid.host.steady import Fault, render_steadily
 from raygrid.node.errors import RaygridError
 
@@ -35,11 +38,12 @@ MOMENTS = ("idle", "load", "trace", "collect", "reset")
 
 @dataclass(frozen=True)
 class Frame:
-    """What is rendered."""
+    """What is rendered. `number`: of a shot."""
 
     scene: Path
     settings: Settings
     budget: int
+    number: int | None = None
 
 
 SMALL = Frame(SCENE, SETTINGS, BUDGET)
@@ -47,9 +51,21 @@ SMALL = Frame(SCENE, SETTINGS, BUDGET)
 LARGE = Frame(SCENES / "room.glb", Settings(size=(384, 288), samples=2), driver.BUDGET)
 
 
+@cache
+def programmed() -> Frame:
+    """A frame for which the nodes run a program."""
+    settings = Settings(size=(96, 72), samples=2, program=read_program(SCENES / "programs" / "marble.py"))
+    return Frame(SCENES / "marble.toml", settings, BUDGET)
+
+
+def moving(number: int) -> Frame:
+    """A frame of a shot, which follows another one by an increment."""
+    return Frame(SCENES / "mobile.toml", Settings(size=(96, 72), samples=1), BUDGET, number)
+
+
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a case: same, refused or wrong, and why; seconds until faults were told, and then made good."""
+    """What came of a case: same, refused, wrong or hang, and why; seconds until faults were told, and then made good."""
 
     what: str
     why: str = ""
@@ -62,7 +78,7 @@ class Case:
     """One fault: a name that says all about it, and what does it and tells what came of it."""
 
     name: str
-    do: Callable[[Bed], Outcome]
+    do: Callable[[Any], Outcome]
 
 
 @dataclass
@@ -103,7 +119,8 @@ class Bed:
     def __init__(self, shape: Shape, folder: Path) -> None:
         self.shape, self.folder = shape, folder
         self.faults: list[str] = []
-        self.array = Array(shape, patience=20.0)
+        self._seconds: dict[Frame, float] = {}
+        self.array = Array(shape, patience=20.0, programs=True)
 
     def run(self, case: Case) -> Outcome:
         """One case, and a right frame of this array after it."""
@@ -140,6 +157,39 @@ class Bed:
         if outcome.what == "same" and not strike.at:
             return Outcome("wrong", "nothing was struck")
         return Outcome(outcome.what, outcome.why, tuple(noticed), tuple(ready))
+
+    def strike_after(self, part: float, act: Callable[[], Any], frame: Frame = SMALL) -> Outcome:
+        """A frame that is struck when a part of the time has gone by that it takes if nothing happens."""
+        seconds = self.seconds(frame)
+        ready: list[float] = []
+        timer = threading.Timer(part * seconds, act)
+        timer.start()
+        try:
+            work = partial(render, self.array, frame, on_fault=lambda fault: ready.append(fault.seconds[1]))
+            outcome = judge(work, self, frame)
+        finally:
+            timer.join()  # one that comes after the frame strikes an idle array
+        return Outcome(outcome.what, outcome.why, ready=tuple(ready))
+
+    def seconds(self, frame: Frame) -> float:
+        """What a frame takes if nothing happens, its loading included."""
+        if frame not in self._seconds:
+            other = SMALL if frame.number is None else moving(frame.number - 1)
+            render(self.array, other)
+            begun = time.perf_counter()
+            render(self.array, frame)
+            self._seconds[frame] = time.perf_counter() - begun
+        return self._seconds[frame]
+
+    def renew(self) -> None:
+        """After a hang: another array."""
+        self.array.__exit__(TimeoutError, TimeoutError(), None)
+        self.array = Array(self.shape, patience=20.0, programs=True)
+        self.__enter__()
+
+    def left(self) -> list[str]:
+        """What a kind has left behind while this goes on: nothing that could be seen before the end."""
+        return []
 
     def __enter__(self) -> Self:
         self.array.begin()
@@ -191,13 +241,21 @@ def judge(work: Callable[[], Picture], bed: Bed, frame: Frame = SMALL) -> Outcom
 @cache
 def job(shape: Shape, frame: Frame = SMALL) -> Job:
     """A frame, ready for an array."""
+    if frame.number is not None:
+        return shot(shape, frame.scene, frame.settings).job(frame.number)
     return make_job(load_scene(frame.scene), shape, frame.settings)
+
+
+@cache
+def shot(shape: Shape, scene: Path, settings: Settings) -> ShotJobs:
+    """The frames of a shot, which share their surfaces: so they can follow each other by increments."""
+    return ShotJobs(load_scene(scene), shape, settings, 1)
 
 
 @cache
 def truth(shape: Shape, frame: Frame) -> np.ndarray:
     """Its sums, from an array to which nothing happens."""
-    with Array.launch(shape) as array:
+    with Array.launch(shape, programs=frame.settings.program is not None) as array:
         picture = render(array, frame)
     assert picture.stats["faults"] == []
     return picture.sums
@@ -208,36 +266,14 @@ def right(picture: Picture, shape: Shape, frame: Frame = SMALL) -> bool:
     return np.array_equal(picture.sums, truth(shape, frame))
 
 
+def warm() -> None:
+    """Compile what is not in the cache yet, so that no case has to wait for it."""
+    with Nursery.start() as nursery:
+        nursery.wait_warm(WARM_SECONDS)
+    with Array.launch((1, 1, 1), programs=True, patience=WARM_SECONDS) as array:
+        render(array, programmed())
+
+
 def text_of(shape: Shape) -> str:
     """As "2x2x2"."""
     return "x".join(map(str, shape))
-
-
-class Leftovers:
-    """What has appeared since this was made: child processes, socket directories, descriptors."""
-
-    def __init__(self) -> None:
-        self._before = self._found()
-
-    def find(self) -> list[str]:
-        """A line for each."""
-        gone, alive = psutil.wait_procs(psutil.Process().children(recursive=True), timeout=5.0)
-        del gone
-        lines = [f"process {process.pid}" for process in alive]
-        directories, descriptors = self._found()
-        lines += [f"directory {name}" for name in sorted(directories - self._before[0])]
-        if descriptors > self._before[1]:
-            lines.append(f"{descriptors - self._before[1]} descriptors")
-        return lines
-
-    @staticmethod
-    def _found() -> tuple[set[str], int]:
-        """Socket directories of this process or of nobody, and how many descriptors there are."""
-        directories = set()
-        for base in places.bases():
-            for path in Path(base).glob(f"{places.PREFIX}*/{places.PID_FILE}"):
-                with contextlib.suppress(OSError, ValueError, IndexError):
-                    pid = int(path.read_text().split()[0])
-                    if pid == os.getpid() or not psutil.pid_exists(pid):
-                        directories.add(str(path.parent))
-        return directories, len(os.listdir("/proc/self/fd"))
