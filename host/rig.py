@@ -103,5 +103,5 @@ class Rig:
     def _light(self, light: Keyed[Any], frame: int) -> Table:
         try:
             return self.make_light(light.at(frame))
-        except ValueError as error:
+        except (ValueError, SceneError) as error:
             raise SceneError(f"a light of the kind {light.table.kind} shines nowhere: {error}") from None

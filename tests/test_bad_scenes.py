@@ -11,6 +11,7 @@ from support_cli import TINY, here, misused, one_line
 from support_render import EIGHT, ONE, SCENES, rendered
 
 from raygrid.host.load import load_scene
+from raygrid.node.errors import SceneError
 
 pytestmark = pytest.mark.usefixtures("no_leftovers")
 
@@ -232,18 +233,38 @@ def test_a_scene_too_small_for_its_place(tmp_path, monkeypatch):
 EXTREMES = {
     "tiny": ("0 -6e-25 0", "s 0 0 0 1e-25"),
     "huge": ("0 -6e29 0", "s 0 0 0 1e29"),
-    "eye far away": ("0 -1e30 0", "s 0 0 0 1"),
     "eye on a surface": ("0 -1 0", "s 0 0 0 1"),
     "light on a surface": ("0 -6 0", "s 1 1 8 1"),
     "light far away": ("0 -6 0", "l 1e30 0 0 s 0 0 0 1"),
     "light too bright": ("0 -6 0", "l 3 -3 3 1e30 1e30 1e30 s 0 0 0 1"),
     "too bright": ("0 -6 0", "f 1e30 1e30 1e30 1e10 1e10 1 1e10 1.5 s 0 0 0 1 s 0 0 3 1"),
-    "glass like air": ("0 -6 0", "f 1 1 1 0 1 1 1 1e-30 s 0 0 0 1"),
-    "glass like lead": ("0 -6 0", "f 1 1 1 0 1 1 1 1e30 s 0 0 0 1"),
     "one on the other": ("0 -6 3", "p 4 0 0 0 1 0 0 1 1 0 0 1 0 " * 50),
     "a pea on a plain": ("0 -6 3", "p 4 -1e5 -1e5 0 1e5 -1e5 0 1e5 1e5 0 -1e5 1e5 0 s 0 0 0 1e-3"),
     "a needle": ("0 -6 3", "c 0 0 0 1e-9 0 0 1000 1e-9"),
 }
+
+
+BEYOND = {
+    "eye far away": ("0 -1e30 0", "s 0 0 0 1", "the camera's rays begin .* wanted at most 1e\\+09: .*"),
+    "glass like air": (
+        "0 -6 0",
+        "f 1 1 1 0 1 1 1 1e-30 s 0 0 0 1",
+        ".* index of refraction must be 0.001 to 1000, came: .*",
+    ),
+    "glass like lead": (
+        "0 -6 0",
+        "f 1 1 1 0 1 1 1 1e30 s 0 0 0 1",
+        ".* index of refraction must be 0.001 to 1000, came: .*",
+    ),
+}
+
+
+@pytest.mark.parametrize(("eye", "surfaces", "words"), BEYOND.values(), ids=BEYOND)
+def test_what_no_arithmetic_can_carry_is_refused(eye, surfaces, words, tmp_path):
+    scene = tmp_path / "strange.nff"
+    scene.write_text(HEAD.replace("0 -6 2", eye) + surfaces)
+    with pytest.raises(SceneError, match=words):
+        rendered(load_scene(scene), ONE, size=(24, 18))
 
 
 @pytest.mark.parametrize(("eye", "surfaces"), EXTREMES.values(), ids=EXTREMES)

@@ -21,7 +21,7 @@ __all__ = ["warm_kernels"]
 
 SMALL = ("--array", "1x1x1", "--size", "8x6", "--samples", "1", "--quiet")
 MADE_OF = "the output is a file that the scene is made of, wanted another"
-RECORDING = json.dumps({"is": "array", "version": 1, "array": [1, 1, 1], "rate": 1.0, "wall": 0.0, "time": 0.0}) + "\n"
+RECORDING = json.dumps({"is": "array", "version": 2, "array": [1, 1, 1], "rate": 1.0, "wall": 0.0, "time": 0.0}) + "\n"
 
 
 @pytest.fixture

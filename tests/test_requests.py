@@ -62,7 +62,7 @@ FRAMES = "wanted the first and the last of at most 100,000 frames, from 1 to 999
         ({"outputs": "/o.png"}, "outputs came as '/o.png', wanted 1 to 16 absolute paths .*"),
         (
             {"frames": [1, 2]},
-            "/out/a.png: the output has no place for the frame's number, wanted one, such as f_%04d.png",
+            "/out/a.png: several frames would go to this one file, wanted a number such as %04d .*",
         ),
         (
             {"frames": [1, 2], "outputs": ["/%d/%d.png"]},

@@ -208,7 +208,7 @@ def test_light_rows():
     assert (sun["kind"], sun["spot"], sun["falloff"]) == (DIRECTIONAL, 0, 0)
     assert np.allclose(sun["place"], (0, 0.6, 0.8))
     assert np.allclose((sun["cos_disc"], *sun["disc"]), (np.cos(0.01), 9, 8, 7))
-    with pytest.raises(ValueError, match="wanted one with a length"):
+    with pytest.raises(SceneError, match="wanted one with a length"):
         directional_light((0, 0, 0), 1.0)
 
 

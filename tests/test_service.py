@@ -199,7 +199,9 @@ def test_detached_jobs_are_listed_waited_for_and_cancelled(name, array, tmp_path
     one_line(on(name, "cancel", queued), 1, rf"raygrid: job {queued} had ended already")
     assert on(name, "cancel", "--all") == (0, f"{running}\n", "")
     one_line(on(name, "wait", queued), 1, rf"raygrid: job {queued} was cancelled")
-    assert re.search(rf"^{queued} +cancelled +- +0/1 +\d\d-.* - +0 +session \d+ +tiny\.nff", on(name, "jobs").out, re.M)
+    assert re.search(
+        rf"^{queued} +cancelled +- +0/1 +[\d:-]+ .* - +0 +session \d+ +tiny\.nff", on(name, "jobs").out, re.M
+    )
 
 
 def test_control_c_cancels_the_job(name, array, tmp_path):

@@ -120,7 +120,7 @@ def test_jobs_of_an_array_that_is_down_are_read_from_its_journal(journal):
         assert (job["client"], job["scene"], job["outputs"]) == ("session 7", "/s/a.nff", ["/o/%d.png"])
         assert job["submitted"] > 1e9
     told = here("jobs", "--name", "film")
-    assert re.search(r"^3 +failed +1-3 +0/3 +a\.nff .* session 7 +/o/%d\.png  \(frame 1: no light\)$", told.out, re.M)
+    assert re.search(r"^3 +failed +1-3 +0/3 .* session 7 +a\.nff +/o/%d\.png  \(frame 1: no light\)$", told.out, re.M)
     assert told.err == (
         "note: the array 'film' is not up, this is from its journal; 1 job goes on after raygrid up --name film\n"
     )

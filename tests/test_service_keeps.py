@@ -85,7 +85,7 @@ def test_a_state_directory_that_is_removed_is_made_anew_with_all_jobs(name, arra
     wait_until("a new lock", lambda: (directory / LOCK).exists())
     wait_until("a new record", lambda: connects(name))
     wait_until("a new journal", lambda: (directory / JOURNAL).exists())
-    with pytest.raises(ArrayError, match="the array 'test' runs already"):
+    with pytest.raises(ArrayError, match=r"the array 'test' \(2x1x1, process \d+\) runs already"):
         take_lock(directory)
     one_line(on(name, "up"), 1, r"raygrid: the array 'test' .*runs already.*")
     pid = find(name).pid
