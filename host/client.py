@@ -121,7 +121,7 @@ class Service:
         patterns: list[Any] = list(output) if several else [output]  # type: ignore[arg-type]
         outputs = [pattern_at("output", path) for path in patterns]
         figures = None if stats is None else pattern_at("stats", stats)
-        if frames is None or (len(frames) == 2 and all(isinstance(number, int) for number in frames)):
+        if frames is None or _are_ends(frames):
             check_job(outputs, figures, frames)  # else the service says what is wrong
         request: Message = {
             "do": "submit",
@@ -232,6 +232,12 @@ def wait_gone(record: Record, timeout: float | None = None) -> bool:
     finally:
         os.close(descriptor)
     return not record.alive
+
+
+def _are_ends(frames: Any) -> bool:
+    """Whether this is the first and the last of some frames."""
+    pair = isinstance(frames, Sequence) and len(frames) == 2 and all(isinstance(number, int) for number in frames)
+    return pair and 1 <= frames[0] <= frames[1]
 
 
 def _files_of(facts: Message) -> Iterator[str]:

@@ -62,6 +62,8 @@ def pattern_of(path: str) -> str:
 
 def absolute(pattern: str | os.PathLike[str]) -> str:
     """The pattern with its whole path: a % in the name of the current directory stands for itself."""
+    if os.path.isabs(pattern):
+        return os.path.normpath(pattern)
     return os.path.normpath(os.path.join(pattern_of(os.getcwd()), pattern))
 
 

@@ -97,7 +97,7 @@ TOGETHER = [  # command, arguments after it, what is said of them
     ("simulate", [TINY, "-o", "x.xyz"], "x.xyz: the output has the suffix '.xyz', wanted one of: .*"),
     ("render", [TINY, "-o", "x"], "x: the output has no suffix, wanted one of: .*"),
     ("render", [MOBILE, "--frames", "1-2", "-o", "x.png"], "x.png: several frames would go to this one file, .*"),
-    ("submit", [MOBILE, "--frames", "1-2", "-o", "x.png"], "x.png: .* no place for the frame's number, .*"),
+    ("submit", [MOBILE, "--frames", "1-2", "-o", "x.png"], "x.png: several frames would go to this one file, wanted a number .*"),
     ("render", [MOBILE, "--frames", "1-2", "-o", "%d%d.png"], "%d%d.png: .*"),
     ("render", [MOBILE, "--frames", "1-2", "-o", "%d.xyz"], r"\d+.xyz: the output has the suffix .*"),
     ("render", [TINY, "--samples", "4294967295"], r"4294967295 samples a pixel came, wanted 1 to \d+ for .*"),

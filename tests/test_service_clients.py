@@ -5,12 +5,13 @@ import os
 import signal
 import subprocess
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
 from support_cli import RAYGRID, TIMEOUT, as_process, one_line, warm_kernels
 from support_render import SCENES
-from support_service import SIZE, Peer, array, end, name, on, sums, up
+from support_service import SIZE, Peer, array, end, name, on, shot_of, sums, up
 
 import raygrid
 from raygrid.host.service_door import BRIEF_SECONDS, MOST_BRIEF, MOST_CLIENTS
@@ -111,7 +112,10 @@ def test_commands_run_where_the_current_directory_was_removed(name, tmp_path):
 def test_five_threads_wait_on_one_connection(name, tmp_path):
     results, raised = {}, []
     with raygrid.connect(name, timeout=5.0) as array:
-        jobs = [array.submit(TINY, output=tmp_path / f"{k}_%d.npy", frames=(1, 4), size=SIZE) for k in range(4)]
+        jobs = [
+            array.submit(shot_of(Path(TINY), 4), output=tmp_path / f"{k}_%d.npy", frames=(1, 4), size=SIZE)
+            for k in range(4)
+        ]
 
         def wait(k):
             try:
@@ -132,7 +136,7 @@ def test_five_threads_wait_on_one_connection(name, tmp_path):
     assert results[0] == results[4]
     for result in results.values():
         for file in result.files:
-            assert np.array_equal(np.load(file), sums(TINY))
+            assert np.array_equal(np.load(file), sums(shot_of(Path(TINY), 4)))
 
 
 def test_status_is_answered_to_one_thread_while_another_waits(array, tmp_path):

@@ -7,11 +7,12 @@ import signal
 import sqlite3
 import subprocess
 import urllib.request
+from pathlib import Path
 
 import pytest
 from support_cli import RAYGRID, TIMEOUT, TINY, here, one_line, warm_kernels
 from support_processes import wait_dead
-from support_service import SIZE, array, end, name, on, state_directory, up, watch_until
+from support_service import SIZE, array, end, name, on, shot_of, state_directory, up, watch_until
 from support_terminal import Terminal
 
 import raygrid
@@ -48,7 +49,7 @@ def journal(tmp_path, monkeypatch):
 
 
 def test_arrays_that_are_up_are_listed_with_their_jobs(name, array, tmp_path):
-    job = array.submit(TINY, output=tmp_path / "a_%d.npy", frames=(1, 3), **LONG)
+    job = array.submit(shot_of(Path(TINY), 3), output=tmp_path / "a_%d.npy", frames=(1, 3), **LONG)
     watch_until(array, job.job, "progress", phase="trace")
     (facts,) = json.loads(here("list", "--json").out)
     record = find(name)
@@ -158,7 +159,7 @@ def test_jobs_of_a_service_that_was_killed_are_all_there(tmp_path, monkeypatch):
     pid = up("killed")["pid"]
     try:
         with raygrid.connect("killed") as array:
-            job = array.submit(TINY, output=tmp_path / "%d.npy", frames=(1, 9), **LONG)
+            job = array.submit(shot_of(Path(TINY), 9), output=tmp_path / "%d.npy", frames=(1, 9), **LONG)
             watch_until(array, job.job, "progress")
             os.kill(pid, signal.SIGKILL)
             wait_dead(pid)
@@ -178,7 +179,7 @@ def test_a_service_serves_its_own_figures(tmp_path, monkeypatch):
         url = f"http://127.0.0.1:{said['prometheus']}/metrics"
         with raygrid.connect("figures") as array:
             assert array.status()["prometheus"] == said["prometheus"]
-            array.submit(TINY, output=tmp_path / "a_%d.npy", frames=(1, 2), size=SIZE).wait()
+            array.submit(shot_of(Path(TINY), 2), output=tmp_path / "a_%d.npy", frames=(1, 2), size=SIZE).wait()
         with urllib.request.urlopen(url, timeout=20) as answer:
             lines = answer.read().decode().splitlines()
         for line in (

@@ -98,7 +98,8 @@ def test_without_frames_a_number_asks_for_the_whole_shot(name, array, tmp_path):
 )
 def test_submit_and_render_refuse_in_the_same_words(name, array, tmp_path, scene, options, words):
     for outcome, folder in by_both(name, tmp_path, scene, *options):
-        assert (outcome.code, outcome.out) == (1, "")
+        misuse = "wanted a number" in words or "2 places" in words or "one file" in words or "no number" in words
+        assert (outcome.code, outcome.out) == (2 if misuse else 1, "")
         assert words in outcome.err
         assert outcome.err.count("\n") == 1
         assert list(folder.iterdir()) == []

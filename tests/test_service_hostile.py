@@ -5,12 +5,13 @@ import contextlib
 import os
 import signal
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 from support_cli import TINY, as_process, one_line, warm_kernels
 from support_processes import wait_dead
-from support_service import SIZE, name, on, scribe_of, sums, up, watch_until
+from support_service import SIZE, name, on, scribe_of, shot_of, sums, up, watch_until
 
 import raygrid
 from raygrid.node.errors import ArrayError
@@ -47,7 +48,9 @@ def nine_megabytes(folder):
 @pytest.mark.parametrize("make", [latin_1, half_a_character, nine_megabytes])
 def test_what_a_scene_s_error_says_harms_nobody_and_no_later_service(name, array, tmp_path, make):
     scene = make(tmp_path)
-    other = array.submit(TINY, output=tmp_path / "f_%d.npy", frames=(1, 6), size=SIZE, client="another")
+    other = array.submit(
+        shot_of(Path(TINY), 6), output=tmp_path / "f_%d.npy", frames=(1, 6), size=SIZE, client="another"
+    )
     bad = array.submit(scene, output=tmp_path / "bad.png", size=SIZE)
     ended = {}
     try:

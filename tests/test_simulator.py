@@ -318,7 +318,11 @@ def test_a_single_node_has_no_busiest_link():
             1,
             r"raygrid: a simulated 3000x3000x3000 array does not fit this computer: its 27000000000 processors and 64 samples need .* TB of memory, and .* leaves .*; largest that fits: (\d+)x\1x\1",
         ),
-        (["--plots", "/nowhere/at/all"], 1, r"raygrid: /nowhere/at/all: there is no such folder for plots, .*"),
+        (
+            ["--plots", "/nowhere/at/all"],
+            1,
+            r"raygrid: /nowhere/at/all: there is no directory /nowhere/at, wanted one that is there",
+        ),
         (["--search", "hash"], 2, r"raygrid simulate: .*"),
     ],
 )
