@@ -1,5 +1,5 @@
 """`python -m raygrid`: the command line."""
 
-from raygrid.host.cli import main
+from raygrid.host.entry import main
 
 main()
