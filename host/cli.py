@@ -434,6 +434,10 @@ def _leave(code: int) -> None:
         for stream in (sys.stdout, sys.stderr):
             if stream is not None:
                 stream.flush()
-    except (OSError, ValueError):  # Python has its own words and exit code for it
+    except BrokenPipeError:  # Python has its own words and exit code for it
         return
+    except (OSError, ValueError) as error:
+        if code == 0:
+            _say(f"raygrid: standard output cannot be written ({getattr(error, 'strerror', None) or error})")
+        os._exit(code or 1)
     os._exit(code)
