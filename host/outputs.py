@@ -30,7 +30,6 @@ class Format(NamedTuple):
 
 
 SUMS = ".npy"  # the exact sums, no picture
-PART = ".raygrid-"  # how the names of files begin that are not whole yet
 JPEG = Format("JPEG", 65_500, {"quality": 95, "subsampling": 0})
 FORMATS = {
     ".png": Format("PNG", 1 << 31, {}),
