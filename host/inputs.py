@@ -16,6 +16,7 @@ from collections.abc import Hashable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 
+from raygrid.host.misuse import OutputMisuse
 from raygrid.node.errors import ArrayError, OutputError
 
 STANDARD = "-"  # standard output
@@ -75,6 +76,8 @@ def check_outputs(outputs: Iterable[str | os.PathLike[str]]) -> None:
     taken |= _files_of_arrays()
     for output in outputs:
         place: Hashable = STANDARD if os.fspath(output) == STANDARD else identity(output)
+        if place == STANDARD and place in taken:
+            raise OutputMisuse("-: standard output came twice, wanted it once")
         if place in taken:
             raise OutputError(f"{os.fspath(output)}: the output is {taken[place]}, wanted another")
         taken[place] = f"the same file as the output {os.fspath(output)}"

@@ -136,7 +136,7 @@ def make_frame(scene: Scene, world: World, settings: Settings) -> Frame:
     for what, table in tables.items():
         if not np.isfinite(table).all():
             raise SceneError(f"{scene.name}: a number of the {what} is not finite, or becomes so at the scene's scale")
-    _check_distance(scene.name, camera, width, height)
+    _check_distance(scene.name, camera / (HALF * max(world.step)), width, height)
     return Frame(
         camera,
         _with_rules(material_table(materials), scene.rules),
@@ -153,7 +153,10 @@ def make_frame(scene: Scene, world: World, settings: Settings) -> Frame:
 
 
 def _check_distance(name: str, camera: NDArray[np.float64], width: int, height: int) -> None:
-    """Raise SceneError for rays that begin so far away that rounding moves them by more than nodes and host allow for."""
+    """Raise SceneError for rays that begin so far away that rounding moves them by more than nodes and host allow for.
+
+    camera  in half edges of the world box
+    """
     ends = camera[0] + np.array([[0.0], [width - 1.0]]) * camera[1], camera[0] + (height - 1.0) * camera[2]
     farthest = float(np.abs(np.concatenate((ends[0], ends[1][None]))).max())
     if farthest > FARTHEST:

@@ -92,7 +92,7 @@ def check_path(path: str | Path) -> None:
 def check_named(path: str | Path) -> None:
     """Raise OutputError if no file can be written there; standard output is none."""
     if os.fspath(path) == STANDARD:
-        raise OutputError("-: the output is standard output, wanted the name of a file")
+        raise OutputMisuse("-: the output is standard output, wanted the name of a file")
     check_path(path)
 
 

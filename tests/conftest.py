@@ -38,9 +38,11 @@ def nothing_left() -> Iterator[None]:
     """
     mark, before = secrets.token_hex(8), os.environ.get(MARK)
     os.environ[MARK] = mark
-    leftovers = Leftovers(mark, "/tmp")
+    leftovers, base = Leftovers(mark, "/tmp"), os.environ.get("XDG_RUNTIME_DIR")
     yield
     left = leftovers.find()
+    if os.environ.get("XDG_RUNTIME_DIR") != base:
+        left.append(f"XDG_RUNTIME_DIR as {os.environ.get('XDG_RUNTIME_DIR')}, it was {base}")
     os.environ.pop(MARK) if before is None else os.environ.update({MARK: before})
     if left:
         pytest.fail("the tests of this file left behind:\n" + "\n".join(f"  {line}" for line in left), pytrace=False)

@@ -372,12 +372,21 @@ class Leftovers:
         return [str(path) for base in bases for path in Path(base).glob(f"{places.PREFIX}*")]
 
     def _is_ours(self, directory: str) -> bool:
-        """Not if it belongs to another living front end, such as that of a test run beside this one."""
-        try:
-            pid = int(Path(directory, places.PID_FILE).read_text().split()[0])
-        except (OSError, ValueError, IndexError):
-            return True
-        return pid == os.getpid() or not psutil.pid_exists(pid)
+        """Not if it belongs to another living front end, such as that of a test run beside this one.
+
+        One that is not signed may be just being made there: that takes a moment, within which it is signed.
+        """
+        deadline = time.monotonic() + self._grace
+        while os.path.isdir(directory):
+            try:
+                pid = int(Path(directory, places.PID_FILE).read_text().split()[0])
+            except (OSError, ValueError, IndexError):
+                if time.monotonic() > deadline:
+                    return True
+                os.sched_yield()
+                continue
+            return pid == os.getpid() or not psutil.pid_exists(pid)
+        return False
 
     def _watched_descriptors(self) -> dict[int, str]:
         tracker = multiprocessing.resource_tracker._resource_tracker._fd
@@ -394,15 +403,15 @@ def no_leftovers(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """
     runtime = tempfile.mkdtemp(prefix="rgtest-", dir="/tmp")
     mark = secrets.token_hex(8)
-    with monkeypatch.context() as patch:
-        patch.setenv(MARK, mark)
-        patch.setenv("XDG_RUNTIME_DIR", runtime)
-        patch.setenv("PYTHONPATH", str(TESTS))
-        leftovers = Leftovers(mark, runtime)
-        try:
-            yield runtime
-        finally:
-            left = leftovers.find()
-            shutil.rmtree(runtime, ignore_errors=True)
+    # Not in a context of its own: what the test sets is to be undone before this is, or these names would outlive it.
+    monkeypatch.setenv(MARK, mark)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", runtime)
+    monkeypatch.setenv("PYTHONPATH", str(TESTS))
+    leftovers = Leftovers(mark, runtime)
+    try:
+        yield runtime
+    finally:
+        left = leftovers.find()
+        shutil.rmtree(runtime, ignore_errors=True)
     if left:
         pytest.fail("the test left behind:\n" + "\n".join(f"  {line}" for line in left), pytrace=False)
