@@ -32,6 +32,11 @@ def _cut(text: str, limit: int) -> str:
     return text[: limit - len(GAP) - end] + GAP + text[len(text) - end :]
 
 
+def unreadable(error: Exception) -> str:
+    """What is wrong with a text that a reader of TOML or JSON refused; Python's own words on long numbers advise programmers."""
+    return "a number in it has too many digits" if type(error) is ValueError else str(error)
+
+
 def _shown(character: str) -> str:
     if character.isprintable() or unicodedata.category(character) == "Zs":
         return character

@@ -314,11 +314,6 @@ SHORT.maxlist = SHORT.maxtuple = SHORT.maxdict = 20
 SHORT.maxstring = SHORT.maxlong = SHORT.maxother = 400
 
 
-def unreadable(error: Exception) -> str:
-    """What is wrong with a text that a reader of TOML or JSON refused; Python's own words on long numbers advise programmers."""
-    return "a number in it has too many digits" if type(error) is ValueError else str(error)
-
-
 def colour(values: Sequence[float]) -> tuple[float, float, float]:
     """Three numbers as a colour."""
     return float(values[0]), float(values[1]), float(values[2])

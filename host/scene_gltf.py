@@ -17,7 +17,8 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.host.scene_builder import shown, unreadable
+from raygrid.host.clean_text import unreadable
+from raygrid.host.scene_builder import shown
 from raygrid.host.scene_files import read_bytes
 from raygrid.node.errors import SceneError
 from raygrid.node.surfaces import F64

@@ -6,7 +6,7 @@ import re
 import tomllib
 from typing import Any
 
-from raygrid.host.clean_text import printable
+from raygrid.host.clean_text import printable, unreadable
 
 LARGEST_TEXT = 1 << 26  # bytes: reading takes a minute by then
 MOST_PARTS = 50  # of a key
@@ -29,6 +29,5 @@ def read_toml(data: bytes) -> tuple[str, dict[str, Any]]:
         return text, tomllib.loads(text)
     except RecursionError:
         raise ValueError("its lists and tables lie too deep within each other") from None
-    except ValueError as error:  # Python's own words on long numbers advise programmers
-        said = "a number in it has too many digits" if type(error) is ValueError else str(error)
-        raise ValueError(printable(said, 500)) from None
+    except ValueError as error:
+        raise ValueError(printable(unreadable(error), 500)) from None

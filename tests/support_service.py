@@ -84,6 +84,15 @@ def on(name: str, *arguments: str, **options: Any) -> Outcome:
 
 
 @functools.cache
+@pytest.fixture
+def array_of_now(name):
+    """A connection to the array; what a test leaves behind is cancelled, in the service that is up by then."""
+    with raygrid.connect(name) as connected:
+        yield connected
+    with raygrid.connect(name) as connected:
+        connected.cancel(None)
+
+
 def shot_of(scene: Path, frames: int) -> Path:
     """A file of a shot of so many frames in which nothing of the scene moves: all have the same bits."""
     folder = Path(tempfile.mkdtemp())
@@ -174,6 +183,7 @@ __all__ = [
     "SIZE",
     "Peer",
     "array",
+    "array_of_now",
     "end",
     "lasting",
     "name",

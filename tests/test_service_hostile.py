@@ -12,11 +12,12 @@ import pytest
 from support_cli import TINY, as_process, one_line, warm_kernels
 from support_processes import wait_dead
 from support_service import SIZE, name, on, scribe_of, shot_of, sums, up, watch_until
+from support_service import array_of_now as array
 
 import raygrid
 from raygrid.node.errors import ArrayError
 
-__all__ = ["name", "warm_kernels"]
+__all__ = ["array", "name", "warm_kernels"]
 
 
 def check_usable(array, folder):
@@ -123,15 +124,6 @@ def wait_phase(array, job, phase):
         if (running.get("job"), running.get("phase")) == (job, phase):
             return
     raise AssertionError(f"job {job} did not come to {phase}")
-
-
-@pytest.fixture
-def array(name):
-    """A connection to the array; what a test leaves behind is cancelled, in the service that is up by then."""
-    with raygrid.connect(name) as connected:
-        yield connected
-    with raygrid.connect(name) as connected:
-        connected.cancel(None)
 
 
 @pytest.fixture

@@ -16,21 +16,13 @@ import pytest
 from support_cli import RAYGRID, TINY, as_process, one_line, warm_kernels
 from support_processes import wait_dead
 from support_service import SIZE, end, name, on, state_directory, sums, up
+from support_service import array_of_now as array
 
 import raygrid
 from raygrid.host.service_files import JOURNAL, LOCK, RECORD, SOCKET, TOKEN, find, make_state_directory, take_lock
 from raygrid.node.errors import ArrayError
 
-__all__ = ["name", "warm_kernels"]
-
-
-@pytest.fixture
-def array(name):
-    """A connection to the array; what a test leaves behind is cancelled, in the service that is up by then."""
-    with raygrid.connect(name) as connected:
-        yield connected
-    with raygrid.connect(name) as connected:
-        connected.cancel(None)
+__all__ = ["array", "name", "warm_kernels"]
 
 
 def check_usable(array, folder):
