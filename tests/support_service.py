@@ -83,7 +83,6 @@ def on(name: str, *arguments: str, **options: Any) -> Outcome:
     return as_process(*arguments, "--name", name, **options)
 
 
-@functools.cache
 @pytest.fixture
 def array_of_now(name):
     """A connection to the array; what a test leaves behind is cancelled, in the service that is up by then."""
@@ -93,6 +92,7 @@ def array_of_now(name):
         connected.cancel(None)
 
 
+@functools.cache
 def shot_of(scene: Path, frames: int) -> Path:
     """A file of a shot of so many frames in which nothing of the scene moves: all have the same bits."""
     folder = Path(tempfile.mkdtemp())
