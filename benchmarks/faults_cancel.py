@@ -85,8 +85,10 @@ def _down(rng: random.Random) -> list[Case]:
             seconds = time.perf_counter() - begun
         bed.bring_up()
         with raygrid.connect(NAME) as array:
-            if job.job not in [facts["job"] for facts in array.jobs(0)]:
-                raise Wrong("the job was lost")
+            state = next((facts["state"] for facts in array.jobs(1000) if facts["job"] == job.job), "lost")
+            whole = (bed.folder / "large.npy").is_file()
+            if state not in ("queued", "running") and not (state == "done" and whole):  # done: before it was taken down
+                raise Wrong(f"the job is {state}, its file is {'there' if whole else 'not there'}")
             array.cancel(None)
         if seconds > PROMPT:
             raise Wrong(f"down took {seconds:.1f} s, wanted at most {PROMPT:g}")

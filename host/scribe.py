@@ -68,6 +68,10 @@ class ScribeError(RaygridError):
     """What a call failed with, in one line: a scene or file of whoever asked for it, or the end of the process."""
 
 
+class ScribeLost(ScribeError):
+    """The process ended amid a call, by whatever hand: what it did can be begun again."""
+
+
 class Scribe:
     """One process, started anew whenever it had to be killed. For use by one thread.
 
@@ -129,7 +133,7 @@ class Scribe:
     def ask(self, what: str, *arguments: Any) -> Any:
         """Call a method of `scribe_process.Work` and wait for what it returns.
 
-        Raises ScribeError with what it raised, or how the process ended; and what `look` raises.
+        Raises ScribeError with what it raised, ScribeLost with how the process ended; and what `look` raises.
         """
         self.start()
         try:
@@ -137,7 +141,7 @@ class Scribe:
                 self._send(piece)
             kind, answer = self._receive()
         except (BrokenPipeError, ConnectionResetError, EOFError):
-            raise ScribeError(f"the process that reads scenes and writes pictures {self._how_it_ended()}") from None
+            raise ScribeLost(f"the process that reads scenes and writes pictures {self._how_it_ended()}") from None
         except BaseException:
             self.kill()
             raise

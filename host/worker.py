@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from raygrid.host.clean_text import printable
 from raygrid.host.keeper import Keeper, NoArray
-from raygrid.host.scribe import Begun, Finished, Scribe
+from raygrid.host.scribe import Begun, Finished, Scribe, ScribeLost
 from raygrid.host.told import told
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 LAUNCH_SECONDS = 5.0  # between two attempts to launch an array that could not be
 LOOK_SECONDS = 0.25  # between two looks at an array that has nothing to do
+ATTEMPTS = 4  # at a frame whose scribe ends, as at one whose nodes do
 TELL_SECONDS = 0.1  # between two reports of progress
 
 
@@ -225,6 +226,15 @@ class Worker(threading.Thread):
     # --- one frame ------------------------------------------------------------------------------------
 
     def _frame(self, task: Task) -> Event:
+        """Make a frame, and begin it again if the scribe ends meanwhile: a scene that is its end each time fails its job."""
+        for _ in range(ATTEMPTS - 1):
+            try:
+                return self._make(task)
+            except ScribeLost as error:
+                self._note(task, [f"{error}; the frame is begun again"])
+        return self._make(task)
+
+    def _make(self, task: Task) -> Event:
         began = time.perf_counter()
         request = task.request
         self._tell(task, "read", 0.0, 0)

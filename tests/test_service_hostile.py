@@ -15,6 +15,8 @@ from support_service import SIZE, name, on, scribe_of, shot_of, sums, up, watch_
 from support_service import array_of_now as array
 
 import raygrid
+from raygrid.host.scribe import ScribeLost
+from raygrid.host.worker import ATTEMPTS, Worker
 from raygrid.node.errors import ArrayError
 
 __all__ = ["array", "name", "warm_kernels"]
@@ -158,11 +160,31 @@ def test_a_frame_that_is_being_read_does_not_keep_the_array_from_its_end(name, a
         again.wait(stuck.job)
 
 
-def test_a_scribe_that_ends_fails_its_job_alone(array, tmp_path, stuck):
+def test_a_scribe_that_ends_costs_the_frame_a_repeat(array, tmp_path, stuck):
     os.kill(scribe_of(array), signal.SIGKILL)
-    with pytest.raises(ArrayError, match=rf"job {stuck.job} failed: the process that reads scenes .* ended by SIGKILL"):
-        stuck.wait()
+    assert stuck.wait().frames == 1
+    assert np.array_equal(np.load(tmp_path / "a.npy"), sums(TINY))
     check_usable(array, tmp_path)
+
+
+@pytest.mark.parametrize(("ends", "right"), [(0, True), (ATTEMPTS - 1, True), (ATTEMPTS, False), (1000, False)])
+def test_a_scribe_that_ends_each_time_fails_the_frame(ends, right):
+    worker, notes, tries = Worker.__new__(Worker), [], []
+
+    def make(task):
+        tries.append(task)
+        if len(tries) <= ends:
+            raise ScribeLost("it ended")
+        return task
+
+    worker._make, worker._note = make, lambda task, words: notes.extend(words)
+    if right:
+        assert worker._frame("a task") == "a task"
+    else:
+        with pytest.raises(ScribeLost, match="it ended"):
+            worker._frame("a task")
+    assert len(tries) == min(ends + 1, ATTEMPTS)
+    assert notes == ["it ended; the frame is begun again"] * min(ends, ATTEMPTS - 1)
 
 
 def test_a_scribe_does_not_outlive_the_service(name, array, stuck):
