@@ -21,21 +21,24 @@ class Line(NamedTuple):
     where: str
     words: list[str]
     runs: bool
+    block: int = 0
 
 
 def lines_of(text: str, name: str) -> list[Line]:
     """The lines in fenced and indented blocks of a page."""
-    found, fenced, runs, before = [], False, False, ""
+    found, fenced, runs, before, block = [], False, False, "", 0
     for number, line in enumerate(re.sub(r" \\\n\s*", " ", text).splitlines(), 1):
         if line.startswith("```"):
             fenced = not fenced
+            block += fenced
             runs = fenced and before == RUN
         elif fenced or line.startswith("    "):
             if not fenced and not before.startswith("    "):  # the first line of an indented block
                 runs = before == RUN
+                block += 1
             commands = re.split(r"\s&&\s|\s\|\s", COMMENT.sub("", line.strip()))
             typed = [shlex.split(command)[1:] for command in commands if command.startswith("raygrid ")]
-            found += [Line(f"{name}:{number}", words, runs) for words in typed]
+            found += [Line(f"{name}:{number}", words, runs, block) for words in typed]
         if line.strip():
             before = line if line.startswith("    ") and not fenced else line.strip()
     return found
@@ -44,6 +47,19 @@ def lines_of(text: str, name: str) -> list[Line]:
 def documented() -> list[Line]:
     """All lines of README and docs."""
     return [line for page in PAGES for line in lines_of(page.read_text(), page.name)]
+
+
+def sittings(lines: list[Line]) -> list[list[Line]]:
+    """Marked lines by block, and what is between an `up` and its `down` in one: what a reader does in one go."""
+    found: list[list[Line]] = []
+    for line in lines:
+        last = [before.words[0] for before in found[-1]] if found else []
+        together = found and (found[-1][-1].block == line.block or last.count("up") > last.count("down"))
+        if together:
+            found[-1].append(line)
+        else:
+            found.append([line])
+    return found
 
 
 def of_help() -> list[Line]:

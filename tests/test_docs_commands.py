@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 import pytest
 from support_cli import as_process, here, warm_kernels
-from support_docs import PAGES, ROOT, Line, documented, lines_of, of_help, small
+from support_docs import PAGES, ROOT, Line, documented, lines_of, of_help, sittings, small
 
 from raygrid.host.cli import cli
 from raygrid.host.load import READERS
@@ -17,7 +17,8 @@ from raygrid.host.load import READERS
 __all__ = ["warm_kernels"]
 
 LINES = [*documented(), *of_help()]
-RUNNING = {page.name: [line for line in lines_of(page.read_text(), page.name) if line.runs] for page in PAGES}
+MARKED = [[line for line in lines_of(page.read_text(), page.name) if line.runs] for page in PAGES]
+SITTINGS = [sitting for lines in MARKED for sitting in sittings(lines)]
 # Scenes of the Standard Procedural Databases, which README says how to get, and measurements beside their commands.
 ELSEWHERE = re.compile(
     r"(tetra|mount|balls|gears|rings|teapot|shells|jacks|lattice|tree)_\d+\.nff|\$RAYGRID_SHARED/.*|ring\.ply"
@@ -51,7 +52,7 @@ def test_the_lines_are_found():
     """So that no test above passes for want of lines."""
     assert len(documented()) > 50
     assert len(of_help()) > 30
-    assert sum(map(len, RUNNING.values())) > 20
+    assert sum(map(len, SITTINGS)) > 20
     page = "<!-- run -->\n```\nraygrid info x.nff      what is in it\n```\n\n    raygrid up && raygrid down  # both\n"
     assert [(line.words, line.runs) for line in lines_of(page, "x")] == [
         (["info", "x.nff"], True),
@@ -83,20 +84,20 @@ def test_help_fits_a_terminal(command):
 
 
 @pytest.mark.usefixtures("no_leftovers", "warm_kernels")
-@pytest.mark.parametrize("name", [name for name, lines in RUNNING.items() if lines])
-def test_marked_lines_run(name, tmp_path, monkeypatch):
+@pytest.mark.parametrize("lines", SITTINGS, ids=lambda lines: lines[0].where)
+def test_marked_lines_run(lines, tmp_path, monkeypatch):
     """One after the other in one folder, as a reader would, with few pixels, frames and processors."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     Path("scenes").symlink_to(ROOT / "scenes")
     Path("out").mkdir()
     try:
-        for line in RUNNING[name]:
+        for line in lines:
             if any(word.endswith(".mp4") for word in line.words) and shutil.which("ffmpeg") is None:
                 continue
             outcome = here(*small(line.words))
             assert outcome.code == 0, f"{line.where}: raygrid {' '.join(small(line.words))}: {outcome.err}"
     finally:
-        for up in (line for line in RUNNING[name] if line.words[0] == "up"):
+        for up in (line for line in lines if line.words[0] == "up"):
             array = up.words[up.words.index("--name") + 1] if "--name" in up.words else "default"
             as_process("down", "--cancel", "--name", array)
