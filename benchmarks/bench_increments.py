@@ -18,9 +18,8 @@ import numpy as np
 
 from raygrid.emulator.array import Array
 from raygrid.emulator.driver import Driver
-from raygrid.node.lattice import make_space
+from raygrid.node.lattice import LATTICE, make_space
 from raygrid.node.motions import Moves, at_rest, make_groups
-from raygrid.node.packets import LATTICE
 from raygrid.node.surfaces import Batch, Kind, SurfaceSet
 
 SURFACES, GROUPS = 100_000, 10

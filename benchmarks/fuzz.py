@@ -39,13 +39,13 @@ from raygrid.emulator.array import Array
 from raygrid.emulator.driver import Progress
 from raygrid.host.steady import RECOVERABLE, render_steadily
 from raygrid.node.errors import Garbled, ProtocolError
+from raygrid.node.frame_tables import frame_limits
 from raygrid.node.link import Link, State
 from raygrid.node.main import open_links
 from raygrid.node.messages import CHECKSUM, SUMMED, MessageKind, pack_message
 from raygrid.node.packets import SIZE, first_fault
 from raygrid.node.pair import Pair
 from raygrid.node.processor import Processor
-from raygrid.node.tables import frame_limits
 from raygrid.node.walk import HOST
 
 SHAPE = (2, 2, 2)

@@ -26,12 +26,11 @@ from numpy.typing import NDArray
 
 from raygrid.host.nff import load_nff
 from raygrid.node.compiled import lean
+from raygrid.node.counters import COUNTS
 from raygrid.node.hierarchy import DEPTH
 from raygrid.node.holdings import build_surfaces
-from raygrid.node.lattice import T_MIN, make_cell, make_space, world_around
-from raygrid.node.packets import LATTICE
+from raygrid.node.lattice import LATTICE, T_MIN, make_cell, make_space, world_around
 from raygrid.node.surfaces import Batch, Kind, SurfaceSet
-from raygrid.node.tables import COUNTS
 from raygrid.node.traverse import closest
 from raygrid.node.walk import inverse
 

@@ -26,8 +26,8 @@ from raygrid.emulator.memory_array import MemoryArray
 from raygrid.host.job import Job, Settings, make_job
 from raygrid.host.load import load_scene
 from raygrid.node import backlog
+from raygrid.node.counters import SENT, WALKS
 from raygrid.node.rounds import AFTER
-from raygrid.node.tables import SENT, WALKS
 from raygrid.node.walk import PORTS
 
 Shape = tuple[int, int, int]

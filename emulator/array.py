@@ -19,22 +19,20 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
+from raygrid.emulator.launch import Ended, Nursery
+from raygrid.emulator.limits import check_fits
+from raygrid.emulator.places import LAST_EPOCH, Index, Place, host_endpoint
 from raygrid.node.errors import ArrayError, LostProcess, ProtocolError, RaygridError, Stuck
-
-from .launch import Ended, Nursery
-from .limits import check_fits
-from .places import LAST_EPOCH, Index, Place, host_endpoint
 
 if TYPE_CHECKING:
     import zmq
 
+    from raygrid.emulator.crew import Crew, NodeState
+    from raygrid.emulator.driver import Driver
+    from raygrid.emulator.lines import Words
+    from raygrid.emulator.samples import Sample
     from raygrid.node.faulty import FaultPlan
     from raygrid.node.pair import Pair
-
-    from .crew import Crew, NodeState
-    from .driver import Driver
-    from .lines import Words
-    from .samples import Sample
 
 BATCH = 4096  # most packets a message
 TRIES = 3  # epochs that are begun before an array counts as one that cannot be
@@ -162,7 +160,7 @@ class Array:
         assert self._nursery is not None
         import zmq
 
-        from .crew import Crew
+        from raygrid.emulator.crew import Crew
 
         self._crew = Crew(self._nursery)
         self._context = zmq.Context(io_threads=1)
@@ -211,12 +209,11 @@ class Array:
         """Drop the links, bring all nodes to the next epoch, and wait until all links are up."""
         import zmq
 
+        from raygrid.emulator.driver import PATIENCE, Driver
+        from raygrid.emulator.topology import host_links
+        from raygrid.emulator.wiring import node_configs
         from raygrid.node.flood import corners
         from raygrid.node.pair import Pair
-
-        from .driver import PATIENCE, Driver
-        from .topology import host_links
-        from .wiring import node_configs
 
         assert self._crew is not None
         assert self._place is not None
@@ -338,7 +335,7 @@ class Array:
                 self.on_words(event.index, event.words)
 
     def _take_sample(self, index: Index, words: Words) -> None:
-        from .samples import read_sample
+        from raygrid.emulator.samples import read_sample
 
         if self._on_sample is None:
             return
@@ -424,10 +421,9 @@ def import_links() -> None:
     """Import what an array needs once its nursery is warm; it costs nothing beside the warming."""
     import zmq  # noqa: F401
 
+    from raygrid.emulator import crew, driver, topology, wiring  # noqa: F401
+    from raygrid.emulator.collected import load
     from raygrid.node import flood, pair  # noqa: F401
-
-    from . import crew, driver, topology, wiring  # noqa: F401
-    from .collected import load
 
     load()
 

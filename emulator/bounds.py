@@ -38,13 +38,14 @@ from typing import NamedTuple
 import numpy as np
 
 from raygrid.node.backlog import BYTES_A_PACKET, FIRST_ROOM
+from raygrid.node.frame_tables import SPECULAR, TRANSMISSION, Frame
 from raygrid.node.hierarchy import WORDS
 from raygrid.node.intersect import CONE_COLUMNS, PLANE_COLUMNS, POLY_COLUMNS
 from raygrid.node.link import MESSAGE_OVERHEAD
-from raygrid.node.outputs import HEAD
+from raygrid.node.messages import HEAD
 from raygrid.node.packets import SIZE
 from raygrid.node.surfaces import STORED_AS, STRIDE, SURFACE_KINDS, AddedKind, AnyKind, Kind
-from raygrid.node.tables import OWN_COLUMNS, SPECULAR, TRANSMISSION, Frame
+from raygrid.node.tables import OWN_COLUMNS
 from raygrid.node.tracer import ROOM
 from raygrid.node.turn import ADMIT_AT_ONCE, PORTION
 from raygrid.node.walk import OUTPUTS

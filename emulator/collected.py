@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from raygrid.node.compiled import is_on_disk
 from raygrid.node.errors import PacketError
-from raygrid.node.outputs import HEAD
+from raygrid.node.messages import HEAD
 from raygrid.node.packets import MAX_PIXEL_SAMPLES, add_pixels
 
 Samples = NDArray[np.integer]  # uint16 or int64

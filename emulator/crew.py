@@ -7,13 +7,12 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from raygrid.emulator.launch import LOOK_SECONDS, Ended, Nursery
+from raygrid.emulator.lines import Lines, Words
+from raygrid.emulator.nursery import LAST_WAIT
+from raygrid.emulator.places import STATES, Index, process_state
+from raygrid.emulator.wiring import Config, reset_order
 from raygrid.node.errors import LostProcess
-
-from .launch import LOOK_SECONDS, Ended, Nursery
-from .lines import Lines, Words
-from .nursery import LAST_WAIT
-from .places import STATES, Index, process_state
-from .wiring import Config, reset_order
 
 # A node looks at its line between two calls of a kernel. One that is in a long call (tables of a million surfaces take
 # seconds) or hangs answers too late, and is killed and forked anew: that takes some 10 ms, and what it was working on

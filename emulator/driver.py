@@ -15,9 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raygrid.emulator.collected import Collected, Samples
+from raygrid.emulator.increments import Held, check_moves, increment
 from raygrid.node.answers import read_sums
+from raygrid.node.counters import BORN, DIED
 from raygrid.node.errors import ArrayError, Garbled, ProtocolError, SceneError, Stuck
 from raygrid.node.flood import corners
+from raygrid.node.frame_tables import Frame
 from raygrid.node.increments import pieces
 from raygrid.node.lattice import Space
 from raygrid.node.link import Link, State
@@ -27,7 +31,6 @@ from raygrid.node.orders import frame_order, space_order
 from raygrid.node.packets import KINDS, PIXEL, PRIMARY
 from raygrid.node.programs import Program, program_order
 from raygrid.node.surfaces import Batch, SurfaceSet
-from raygrid.node.tables import BORN, DIED, Frame
 from raygrid.node.tally import (
     ALLOWED,
     COLLECTING,
@@ -41,9 +44,6 @@ from raygrid.node.tally import (
     pack_tally,
     read_tallied,
 )
-
-from .collected import Collected, Samples
-from .increments import Held, check_moves, increment
 
 CHUNK_BYTES = 1 << 16  # surfaces in a message
 BUDGET = 1 << 20  # packets in flight below which primaries are admitted, and so the most primaries alive (`bounds`)

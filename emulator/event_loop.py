@@ -20,10 +20,12 @@ from numpy.typing import NDArray
 
 from raygrid.node.births import bear_sample
 from raygrid.node.compiled import lean, part
+from raygrid.node.counters import BORN, COUNTS, DIED
 from raygrid.node.lattice import Cell, coordinate
-from raygrid.node.outputs import HEAD
+from raygrid.node.messages import HEAD
 from raygrid.node.packets import KINDS, PIXEL, PRIMARY, RETURN, SIZE, put_pixel
-from raygrid.node.tables import BORN, COUNTS, DIED, Surfaces
+from raygrid.node.stamped import NEVER
+from raygrid.node.tables import Surfaces
 from raygrid.node.timed import (
     AFTER,
     BEFORE,
@@ -31,7 +33,6 @@ from raygrid.node.timed import (
     HOPS_AT,
     LAST_BIRTH,
     MOST_HOPS,
-    NEVER,
     NEXT_BIRTH,
     PACKET,
     RECORD,

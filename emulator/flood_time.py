@@ -16,16 +16,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raygrid.emulator.shared_tables import described, described_meets
 from raygrid.node.compiled import kernel
+from raygrid.node.counters import SENT
 from raygrid.node.flood import corners
 from raygrid.node.lattice import HALF, SLACK, Space
 from raygrid.node.packets import SIZE
+from raygrid.node.stamped import Prices
 from raygrid.node.surfaces import SurfaceSet
-from raygrid.node.tables import SENT
-from raygrid.node.timed import Prices
 from raygrid.node.walk import HOST
-
-from .shared_tables import described, described_meets
 
 Long = NDArray[np.int64]
 

@@ -25,17 +25,17 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from raygrid.emulator.bounds import growth_of
+from raygrid.emulator.single_step import SingleStep
+from raygrid.emulator.topology import Index, indices
+from raygrid.node.counters import BORN, DIED
 from raygrid.node.errors import ArrayError, SceneError
+from raygrid.node.frame_tables import Frame
 from raygrid.node.lattice import Space
 from raygrid.node.packets import PRIMARY, RETURN, PacketKind
 from raygrid.node.surfaces import SurfaceSet
-from raygrid.node.tables import BORN, DIED, Frame
 from raygrid.node.tracer import Tracer
 from raygrid.node.walk import OPPOSITE, PORTS, SELF
-
-from .bounds import growth_of
-from .single_step import SingleStep
-from .topology import Index, indices
 
 SOURCES = PORTS + 2  # from which a node takes packets in turn: its ports, what it has born to itself, its primaries
 MOST_ROOM = 1 << 20

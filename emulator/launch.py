@@ -26,12 +26,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
+from raygrid.emulator.control import Control, Message, close_all
+from raygrid.emulator.nursery import LAST_WAIT, open_pidfd
+from raygrid.emulator.places import Index, process_state
+from raygrid.emulator.stderr_words import StderrWords
 from raygrid.node.errors import ArrayError, LostProcess
-
-from .control import Control, Message, close_all
-from .nursery import LAST_WAIT, open_pidfd
-from .places import Index, process_state
-from .stderr_words import StderrWords
 
 LOOK_SECONDS = 0.25  # between two looks at whether it runs, while something is expected of it
 STOPPED_SECONDS = 0.75  # after which one that is stopped is not waited for any longer

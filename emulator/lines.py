@@ -5,9 +5,8 @@ from __future__ import annotations
 import select
 from typing import Any
 
+from raygrid.emulator.places import Index
 from raygrid.node.line import Line
-
-from .places import Index
 
 Words = dict[str, Any]
 

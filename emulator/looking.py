@@ -9,12 +9,12 @@ import numpy as np
 
 from raygrid.node.camera import entry, eye_ray, home, image_point
 from raygrid.node.compiled import lean
+from raygrid.node.frame_tables import IOR, TRANSMISSION
 from raygrid.node.lattice import T_MIN
 from raygrid.node.packets import SHADOW, read_u16, read_u24, read_u32, unit_vector, unpack_weight
 from raygrid.node.pixels import fixed_point
 from raygrid.node.shading import light_direction, normals, place, refract
 from raygrid.node.step import edge_colour
-from raygrid.node.tables import IOR, TRANSMISSION
 from raygrid.node.traverse import closest
 from raygrid.node.walk import inverse, passage
 

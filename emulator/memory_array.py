@@ -7,15 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from raygrid.emulator.driver import Driver
+from raygrid.emulator.topology import host_links, indices, neighbour_links
 from raygrid.node.flood import corners
 from raygrid.node.link import Link
 from raygrid.node.main import open_links, processor_class
 from raygrid.node.memory_pair import MemoryPair, memory_pair
 from raygrid.node.processor import Processor
 from raygrid.node.walk import HOST
-
-from .driver import Driver
-from .topology import host_links, indices, neighbour_links
 
 Order = Callable[[int], np.ndarray]
 

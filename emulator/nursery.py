@@ -43,11 +43,10 @@ from contextlib import suppress
 from fcntl import F_GETFL, F_SETFL, F_SETOWN, fcntl
 from typing import NoReturn
 
+from raygrid.emulator import places
+from raygrid.emulator.control import MOST_DESCRIPTORS, Control, Message, close_all
+from raygrid.emulator.places import Index
 from raygrid.node.errors import RaygridError
-
-from . import places
-from .control import MOST_DESCRIPTORS, Control, Message, close_all
-from .places import Index
 
 Run = Callable[[Message, int, int], None]
 

@@ -19,16 +19,19 @@ from numpy.typing import NDArray
 from raygrid.node.births import bear_primaries, new_cursor
 from raygrid.node.camera import entry, eye_ray, image_point
 from raygrid.node.compiled import lean
+from raygrid.node.counters import COUNTS
+from raygrid.node.frame_tables import Frame
 from raygrid.node.hierarchy import DEPTH
 from raygrid.node.holdings import build_surfaces
-from raygrid.node.lattice import T_MIN, Cell, Space, make_cell, make_space
-from raygrid.node.outputs import HEAD, Outputs, make_outputs
-from raygrid.node.packets import LATTICE, PRIMARY, SHADOW, SIZE, read_u16, read_u24, read_u32, unit_vector
+from raygrid.node.lattice import LATTICE, T_MIN, Cell, Space, make_cell, make_space
+from raygrid.node.messages import HEAD
+from raygrid.node.outputs import Outputs, make_outputs
+from raygrid.node.packets import PRIMARY, SHADOW, SIZE, read_u16, read_u24, read_u32, unit_vector
 from raygrid.node.pixels import make_pixels
 from raygrid.node.shading import light_direction, place
 from raygrid.node.step import edge_colour, step
 from raygrid.node.surfaces import STORED_AS, Batch, Kind, SurfaceSet, merge
-from raygrid.node.tables import COUNTS, Frame, Surfaces
+from raygrid.node.tables import Surfaces
 from raygrid.node.traverse import closest
 from raygrid.node.walk import SELF, SELF_RAYS, inverse, passage
 

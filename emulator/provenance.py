@@ -13,18 +13,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from raygrid.emulator.looking import begin, carries_home, look, sees_outside
+from raygrid.emulator.single_step import Served, SingleStep, Units
+from raygrid.emulator.topology import Index
+from raygrid.node.counters import BORN, COUNTS, DIED, HITS, WALKS
 from raygrid.node.errors import ArrayError, SceneError
+from raygrid.node.frame_tables import Frame
 from raygrid.node.hierarchy import DEPTH
 from raygrid.node.lattice import HALF, Space
 from raygrid.node.packets import PRIMARY, REFLECTED, RETURN, SHADOW, PacketKind, decode
 from raygrid.node.pixels import MAX_INTENSITY, UNIT
 from raygrid.node.surfaces import SurfaceSet
-from raygrid.node.tables import BORN, COUNTS, DIED, HITS, WALKS, Frame
 from raygrid.node.walk import OPPOSITE, PORTS, SELF
-
-from .looking import begin, carries_home, look, sees_outside
-from .single_step import Served, SingleStep, Units
-from .topology import Index
 
 MOST_RAYS = 1_000_000  # of one tree
 Vector = tuple[float, float, float]

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from raygrid.node.births import COARSEST
 from raygrid.node.camera import entry, eye_ray, home, image_point
 from raygrid.node.compiled import kernel
+from raygrid.node.frame_tables import Frame
 from raygrid.node.lattice import Space
-from raygrid.node.tables import Frame
 
 Long = NDArray[np.int64]
 

@@ -7,13 +7,12 @@ import struct
 from dataclasses import dataclass
 from typing import Any
 
+from raygrid.emulator.places import Index
+from raygrid.node.counters import BORN, COUNTS, DIED, HITS, SENT, WALKS
 from raygrid.node.errors import ProtocolError
 from raygrid.node.packets import KINDS, PacketKind
 from raygrid.node.probe import ARRIVALS
-from raygrid.node.tables import BORN, COUNTS, DIED, HITS, SENT, WALKS
 from raygrid.node.walk import HOST
-
-from .places import Index
 
 PHASES = ("idle", "load", "trace", "collect")
 PORTS = ("-x", "+x", "-y", "+y", "-z", "+z", "host", "self")  # in the order of node.walk

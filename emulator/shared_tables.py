@@ -23,9 +23,8 @@ from raygrid.node.compiled import kernel, part
 from raygrid.node.hierarchy import COUNT_SHIFT, FIRST_MASK, LEAF_BIT, WORDS, build
 from raygrid.node.holdings import build_surfaces, empty_surfaces
 from raygrid.node.lanes import CHILDREN, WIDE
-from raygrid.node.lattice import HALF, SLACK, Space, make_cell, make_space
+from raygrid.node.lattice import HALF, LATTICE, SLACK, Space, make_cell, make_space
 from raygrid.node.overlap import surface_meets
-from raygrid.node.packets import LATTICE
 from raygrid.node.surfaces import STORED_AS, AnyKind, Batch, Kind, SurfaceSet, merge
 from raygrid.node.tables import KIND_SHIFT, Surfaces
 

@@ -12,14 +12,22 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from raygrid.emulator import compile_clock, event_loop
+from raygrid.emulator.event_loop import BINS, HOPS, STRETCHES, Births, Watch, Wheel, enter_all, run
+from raygrid.emulator.limits import check_simulated_fits, read_memory
+from raygrid.emulator.sample_order import order_of_pixels, order_of_samples
+from raygrid.emulator.shared_tables import holdings, one_hierarchy, ordered, trees
+from raygrid.node.counters import BORN, COUNTS, DIED
 from raygrid.node.errors import ArrayError, TooLarge
+from raygrid.node.frame_tables import Frame
 from raygrid.node.hierarchy import DEPTH
 from raygrid.node.lattice import Space
 from raygrid.node.outputs import make_outputs
 from raygrid.node.packets import KINDS, SIZE
 from raygrid.node.pixels import Pixels
+from raygrid.node.stamped import Prices
 from raygrid.node.surfaces import SurfaceSet
-from raygrid.node.tables import BORN, COUNTS, DIED, Frame, Surfaces
+from raygrid.node.tables import Surfaces
 from raygrid.node.timed import (
     BUSY,
     ENDED,
@@ -32,17 +40,10 @@ from raygrid.node.timed import (
     SERVED,
     TRACE,
     WAITED,
-    Prices,
     Timed,
     grown,
     make_timed,
 )
-
-from . import compile_clock, event_loop
-from .event_loop import BINS, HOPS, STRETCHES, Births, Watch, Wheel, enter_all, run
-from .limits import check_simulated_fits, read_memory
-from .sample_order import order_of_pixels, order_of_samples
-from .shared_tables import holdings, one_hierarchy, ordered, trees
 
 Long = NDArray[np.int64]
 TURN_EVENTS = 1 << 20  # between two looks at signals and progress

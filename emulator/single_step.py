@@ -13,21 +13,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raygrid.emulator.limits import read_resources
+from raygrid.emulator.memory_array import MemoryArray
+from raygrid.emulator.topology import Index
 from raygrid.node.births import DONE, bear_primaries, bear_primary
+from raygrid.node.counters import COUNTS
 from raygrid.node.errors import TooLarge
+from raygrid.node.frame_tables import Frame
 from raygrid.node.hierarchy import DEPTH
 from raygrid.node.lattice import Space
+from raygrid.node.messages import HEAD
 from raygrid.node.orders import frame_order
-from raygrid.node.outputs import HEAD, make_outputs
+from raygrid.node.outputs import make_outputs
 from raygrid.node.packets import SIZE
 from raygrid.node.step import step
 from raygrid.node.surfaces import SurfaceSet
-from raygrid.node.tables import COUNTS, Frame
 from raygrid.node.tracer import Tracer
-
-from .limits import read_resources
-from .memory_array import MemoryArray
-from .topology import Index
 
 NODE_BYTES = 800_000  # of a node in memory, without surfaces (measured)
 Units = tuple[int, int, int]

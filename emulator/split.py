@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.node.errors import ArrayError
-from raygrid.node.lattice import HALF, THINNEST_CELL, Space, World, make_space
-from raygrid.node.packets import LATTICE
+from raygrid.node.frame_tables import Frame
+from raygrid.node.lattice import HALF, LATTICE, THINNEST_CELL, Space, World, make_space
 from raygrid.node.surfaces import AddedKind, SurfaceSet
-from raygrid.node.tables import Frame
 
 F64 = NDArray[np.float64]
 Line = NDArray[np.int64]
@@ -69,7 +68,7 @@ def _rays(frame: Frame) -> int:
 
 def _when_compiled(work: Callable[[], Sequence[Line] | None], wait: Callable[[], None] | None) -> Sequence[Line] | None:
     if wait is not None:
-        from .work import NotCompiledError, from_cache_only
+        from raygrid.emulator.work import NotCompiledError, from_cache_only
 
         try:
             with from_cache_only():
@@ -138,8 +137,8 @@ def _apart(planes: Line) -> Line:
 
 def _by_pilot(shape: Index, world: World, surfaces: SurfaceSet, frame: Frame) -> list[Line] | None:
     """The planes of the least cost that is found from three starts; None if no ray enters the world box."""
-    from .pilot import fly
-    from .work import improve, tally
+    from raygrid.emulator.pilot import fly
+    from raygrid.emulator.work import improve, tally
 
     pilot = fly(world.step, surfaces, frame)
     if len(pilot.rays.origins) == 0:

@@ -6,8 +6,8 @@ import os
 import signal
 import sys
 
-from .nursery import DEBUG
-from .places import Index
+from raygrid.emulator.nursery import DEBUG
+from raygrid.emulator.places import Index
 
 LONGEST_TAIL = 16_384  # characters of stderr that are kept
 LONGEST_REASON = 300  # characters of a library's line that are passed on

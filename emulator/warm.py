@@ -16,24 +16,23 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numba.core import event
 
+from raygrid.emulator.collected import Collected
+from raygrid.emulator.kernel_kinds import NODES, NOTE, TIMED_NODES, compiling
+from raygrid.emulator.memory_array import MemoryArray
+from raygrid.emulator.split import split
+from raygrid.emulator.work import is_cached
 from raygrid.node import kernel_cache, profile, remarks
+from raygrid.node.counters import COUNTS
 from raygrid.node.errors import ArrayError
-from raygrid.node.lattice import World, make_space
+from raygrid.node.frame_tables import LIGHT_COLUMNS, MATERIAL_COLUMNS, Frame
+from raygrid.node.lattice import LATTICE, World, make_space
+from raygrid.node.messages import HEAD
 from raygrid.node.misses import add_missed
 from raygrid.node.motions import SHIFT, Moves, at_rest, make_groups
 from raygrid.node.native import find_functions
-from raygrid.node.outputs import HEAD
-from raygrid.node.packets import LATTICE, MAX_PIXEL_SAMPLES
-from raygrid.node.stamped import prices_order
+from raygrid.node.packets import MAX_PIXEL_SAMPLES
+from raygrid.node.stamped import Prices, prices_order
 from raygrid.node.surfaces import STORED_AS, Batch, Kind, SurfaceSet
-from raygrid.node.tables import COUNTS, LIGHT_COLUMNS, MATERIAL_COLUMNS, Frame
-from raygrid.node.timed import Prices
-
-from .collected import Collected
-from .kernel_kinds import NODES, NOTE, TIMED_NODES, compiling
-from .memory_array import MemoryArray
-from .split import split
-from .work import is_cached
 
 Report = Callable[[int, int, str], None]
 

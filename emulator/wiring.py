@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from raygrid.emulator.places import Index, endpoint, host_endpoint
+from raygrid.emulator.topology import indices, neighbour_links
 from raygrid.node.flood import corners
 from raygrid.node.walk import HOST
-
-from .places import Index, endpoint, host_endpoint
-from .topology import indices, neighbour_links
 
 Config = dict[str, Any]
 

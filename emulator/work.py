@@ -28,16 +28,14 @@ import numpy as np
 from numba.core import event
 from numpy.typing import NDArray
 
+from raygrid.emulator.pilot import IS_PRIMARY, RETURNS, SHADED, T_END, Pilot
 from raygrid.node.compiled import is_on_disk, lean, part
 from raygrid.node.hierarchy import DEPTH, LEAF_BIT, WORDS
 from raygrid.node.lanes import push_boxes
-from raygrid.node.lattice import T_MIN, Space, cell_index, coordinate, nearest
-from raygrid.node.packets import LATTICE
+from raygrid.node.lattice import LATTICE, T_MIN, Space, cell_index, coordinate, nearest
 from raygrid.node.shading import place
 from raygrid.node.traverse import FAREST, for_boxes
 from raygrid.node.walk import inverse
-
-from .pilot import IS_PRIMARY, RETURNS, SHADED, T_END, Pilot
 
 F64 = NDArray[np.float64]
 TOTAL_SHARE = 0.5  # weight of the mean over cells beside the largest cell: they share a computer's cores, too

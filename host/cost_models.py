@@ -22,11 +22,11 @@ from raygrid.host.regular_file import read_regular
 from raygrid.host.scene_builder import shown
 from raygrid.host.scene_toml_errors import Key, located, shown_key
 from raygrid.host.toml_text import read_toml
+from raygrid.node.counters import BORN, BOXES, COUNTS, DIED, HITS, HOMES, SENT, TESTS, WALKS
 from raygrid.node.errors import CostError
 from raygrid.node.packets import PIXEL, PRIMARY, REFLECTED, REFRACTED, RETURN, SHADOW, SIZE
+from raygrid.node.stamped import Prices
 from raygrid.node.surfaces import Kind
-from raygrid.node.tables import BORN, BOXES, COUNTS, DIED, HITS, HOMES, SENT, TESTS, WALKS
-from raygrid.node.timed import Prices
 from raygrid.node.walk import HOST
 
 LEVELS = ("low", "middle", "high")

@@ -90,7 +90,7 @@ def check_kept(output: str | os.PathLike[str]) -> None:
 
 def _files_of_arrays() -> dict[Hashable, str]:
     """The files that arrays which stay keep, by identity."""
-    from raygrid.host.service_files import state_home
+    from raygrid.host.state_home import state_home
 
     found: dict[Hashable, str] = {}
     with suppress(OSError, ArrayError), os.scandir(state_home()) as directories:

@@ -17,13 +17,13 @@ from raygrid.host.misuse import SceneMisuse
 from raygrid.host.scene import Scene
 from raygrid.node.errors import SceneError
 from raygrid.node.frame import POINT
+from raygrid.node.frame_tables import Frame, light_table, material_table
 from raygrid.node.lattice import HALF, Space, World, world_around
 from raygrid.node.motions import Moves
 from raygrid.node.orders import MAX_SIDE
 from raygrid.node.packets import MAX_DEPTH, MAX_LIGHTS, MAX_SAMPLES
 from raygrid.node.programs import Program
 from raygrid.node.surfaces import AddedKind, SurfaceSet
-from raygrid.node.tables import Frame, light_table, material_table
 
 DEFAULT_SIZE = (512, 512)
 DEFAULT_DEPTH = 5  # as the Standard Procedural Databases ask

@@ -26,9 +26,9 @@ from raygrid.host.cost_models import CostModel
 from raygrid.host.job import Settings
 from raygrid.host.scene import Scene
 from raygrid.host.shot_jobs import still_job
+from raygrid.node.counters import BORN, SENT
 from raygrid.node.errors import OutputError
 from raygrid.node.packets import PRIMARY
-from raygrid.node.tables import BORN, SENT
 from raygrid.node.timed import BUSY
 from raygrid.node.walk import PORTS
 

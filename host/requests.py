@@ -6,7 +6,7 @@ docs/service.md describes each request and its answer.
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -19,12 +19,9 @@ from pydantic import (
     model_validator,
 )
 
-from raygrid.host.frames import LAST_FRAME, MOST_FRAMES, Turntable, check_job
+from raygrid.host.frames import LAST_FRAME, MOST_FRAMES, check_job
 from raygrid.host.wire import Message, shown
 from raygrid.node.errors import OutputError, ProtocolError
-
-if TYPE_CHECKING:
-    from raygrid.host.scene_store import Wanted
 
 LONGEST_PATH = 4096
 # Bounds of others (`host.job`, `host.shot`, `node.orders`, `node.packets`, `node.probe`), as numbers: this module stays light,
@@ -161,16 +158,6 @@ class Submit(Strictly):
         except OutputError as error:
             raise ValueError(str(error)) from None
         return self
-
-    def wanted(self) -> Wanted:
-        """What is to be read and made ready, as the front end has it. Raises SceneError for a program that is none."""
-        from raygrid.host.job import Settings
-        from raygrid.host.program_file import read_program
-        from raygrid.host.scene_store import Wanted
-
-        program = None if self.program is None else read_program(self.program)
-        turn = None if self.turntable is None else Turntable(self.turntable.frames, self.turntable.scene)
-        return Wanted(self.scene, Settings(**dict(self.settings), program=program), turn, self.frames)
 
 
 class Follow(Strictly):

@@ -12,6 +12,7 @@ from raygrid.host.frames import Ends, Turntable, frames_of
 from raygrid.host.job import Job, Settings, make_job, samples_expected
 from raygrid.host.load import load_scene
 from raygrid.host.picture_digest import contents_of_shot, picture_digest
+from raygrid.host.requests import Submit
 from raygrid.host.scene import Scene
 from raygrid.host.shot_jobs import ShotJobs
 from raygrid.host.sources import Sources, recorded
@@ -41,6 +42,15 @@ class Wanted:
         """Raise SceneError for frames that the scene has not: before the first of the job, not after many."""
         if self.frames is not None:
             frames_of(scene, self.frames)
+
+
+def wanted_by(submit: Submit) -> Wanted:
+    """What a submission wants to be made ready. Raises SceneError for a program that is none."""
+    from raygrid.host.program_file import read_program
+
+    program = None if submit.program is None else read_program(submit.program)
+    turn = None if submit.turntable is None else Turntable(submit.turntable.frames, submit.turntable.scene)
+    return Wanted(submit.scene, Settings(**dict(submit.settings), program=program), turn, submit.frames)
 
 
 @dataclass(frozen=True)

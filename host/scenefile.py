@@ -31,9 +31,9 @@ from raygrid.host.scene_transform import moved, placement
 from raygrid.host.shot import Shot, quaternion
 from raygrid.host.toml_text import read_toml
 from raygrid.node.errors import SceneError
+from raygrid.node.frame_tables import RULE_COLUMNS
 from raygrid.node.motions import Groups, make_groups
 from raygrid.node.surfaces import F64, NUMBERS, AddedKind, Kind
-from raygrid.node.tables import RULE_COLUMNS
 
 SOFT_EDGE = 0.8  # a spot's full light reaches this part of the way to its rim unless the file says otherwise
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)

@@ -21,7 +21,7 @@ import numpy as np
 
 from raygrid.emulator.nursery import end_with_parent
 from raygrid.host.pickled import Shared, pack, receiving
-from raygrid.host.scene_store import Ready, SceneStore
+from raygrid.host.scene_store import Ready, SceneStore, wanted_by
 from raygrid.host.scribe import SHARED, Begun, Finished
 from raygrid.host.told import told
 from raygrid.node.errors import RaygridError
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from raygrid.host.job_files import JobFiles
     from raygrid.host.picture import Picture
     from raygrid.host.requests import Submit
+    from raygrid.node.frame_tables import Frame
     from raygrid.node.programs import Program
-    from raygrid.node.tables import Frame
 
 UNANSWERED = ("warm", "sweep")
 FILMS = "films"  # in the state directory: frames that wait to be played, a directory a job
@@ -58,7 +58,7 @@ class Work:
 
         check_taken(request.program, programs)  # a job of the journal may have had another array
         self._request = request
-        ready = self._store.frame(request.wanted(), frame)
+        ready = self._store.frame(wanted_by(request), frame)
         self._files = files = JobFiles(request, frame, ready, Reel(str(self._films / str(job))))
         remarks = (*ready.remarks, *files.remarks)
         with noted() as inputs:
@@ -74,7 +74,7 @@ class Work:
 
     def again(self, number: int) -> Ready:
         """Another frame of the same job, made ready. Raises RaygridError."""
-        return _for_the_array(self._store.frame(self._request.wanted(), number))
+        return _for_the_array(self._store.frame(wanted_by(self._request), number))
 
     def finish(self, finished: Finished) -> None:
         """Write the files of the frame that was begun, each whole or not at all. Raises OutputError."""

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from raygrid.emulator.places import process_mark
+from raygrid.host.state_home import state_home
 from raygrid.node.errors import ArrayError
 
 DEFAULT_NAME = "default"
@@ -69,17 +70,6 @@ def check_array_name(name: str) -> None:
             f"the name of an array came as {shown}, wanted 1 to 32 letters, digits, dots, dashes or underscores, "
             "the first a letter or digit"
         )
-
-
-def state_home() -> Path:
-    """The directory that holds the state directories of all arrays of this user. Raises ArrayError if there is none."""
-    given = os.environ.get("XDG_STATE_HOME", "")
-    if os.path.isabs(given):
-        return Path(given) / "raygrid"
-    home = os.path.expanduser("~")
-    if not os.path.isabs(home):
-        raise ArrayError("there is no home directory for the journal of an array: set XDG_STATE_HOME")
-    return Path(home) / ".local" / "state" / "raygrid"
 
 
 def state_directory(name: str) -> Path:

@@ -16,10 +16,10 @@ from raygrid.emulator.topology import indices
 from raygrid.host.cost_models import LEVELS
 from raygrid.host.outputs import write_whole
 from raygrid.host.simulate import Simulated
+from raygrid.node.counters import BORN, BOXES, DIED, HITS, SENT, TESTS, WALKS
 from raygrid.node.packets import PacketKind
 from raygrid.node.pixels import UNIT
 from raygrid.node.surfaces import SURFACE_KINDS, Kind
-from raygrid.node.tables import BORN, BOXES, DIED, HITS, SENT, TESTS, WALKS
 from raygrid.node.timed import BUSY, ENDED, MOST_WAITING, PACKETS_SENT, SERVED, WAITED, WALKED
 from raygrid.node.walk import PORTS
 

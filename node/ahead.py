@@ -20,16 +20,16 @@ from numba.core import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from .compiled import part
-from .lanes import WIDE, copy_keys, push_boxes
-from .lattice import T_MIN
-from .native import copy_bytes
-from .packets import HALF_DIRECTION, LATTICE, SIZE, read_u64
-from .tables import LIGHT_KIND
-from .tables import PLACE as LIGHT_PLACE
-from .traverse import FAREST
-from .vectors import EIGHT, Lanes, Table, least, most, splats, within
-from .walk import HUGE
+from raygrid.node.compiled import part
+from raygrid.node.frame_tables import LIGHT_KIND
+from raygrid.node.frame_tables import PLACE as LIGHT_PLACE
+from raygrid.node.intrinsics import copy_bytes
+from raygrid.node.lanes import WIDE, copy_keys, push_boxes
+from raygrid.node.lattice import LATTICE, T_MIN
+from raygrid.node.packets import HALF_DIRECTION, SIZE, read_u64
+from raygrid.node.traverse import FAREST
+from raygrid.node.vectors import EIGHT, Lanes, Table, least, most, splats, within
+from raygrid.node.walk import HUGE
 
 LISTS = 4
 AHEAD = 128  # rays that are set up before the first of them is looked for hits; a multiple of EIGHT

@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import ProtocolError
-from .packets import PacketKind
-from .surfaces import SURFACE_KINDS, AnyKind
-from .tables import BORN, BOXES, DIED, HITS, SENT, TESTS, WALKS
-from .tally import SUMS
-from .usage import peak_memory, private_memory
-from .walk import PORTS
+from raygrid.node.counters import BORN, BOXES, DIED, HITS, SENT, TESTS, WALKS
+from raygrid.node.errors import ProtocolError
+from raygrid.node.packets import PacketKind
+from raygrid.node.surfaces import SURFACE_KINDS, AnyKind
+from raygrid.node.tally import SUMS
+from raygrid.node.usage import peak_memory, private_memory
+from raygrid.node.walk import PORTS
 
 if TYPE_CHECKING:
-    from .processor import Processor
-    from .tracer import Tracer
+    from raygrid.node.processor import Processor
+    from raygrid.node.tracer import Tracer
 
 
 def record_of(processor: Processor) -> dict[str, Any]:

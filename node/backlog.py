@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import lean, part
-from .outputs import HEAD
-from .packets import (
+from raygrid.node.compiled import lean, part
+from raygrid.node.messages import HEAD
+from raygrid.node.packets import (
     SHADOW,
     SIZE,
     Limits,

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from .camera import image_point
-from .compiled import lean, part
-from .eyes import LOT, PLACE, is_at_home, note_primary, put_primary, work_out_primaries
-from .packets import PRIMARY, SIZE
-from .pixels import slot
-from .tables import BORN
+from raygrid.node.camera import image_point
+from raygrid.node.compiled import lean, part
+from raygrid.node.counters import BORN
+from raygrid.node.eyes import LOT, PLACE, is_at_home, note_primary, put_primary, work_out_primaries
+from raygrid.node.packets import PRIMARY, SIZE
+from raygrid.node.pixels import slot
 
 COARSEST = 3  # log2 of the stride of the first level
 # fields of the cursor

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compiled import part
-from .lattice import HALF, MOST_TRIES, beside_ray, cell_index, nearest
-from .packets import SHORTEST
-from .walk import inverse
+from raygrid.node.compiled import part
+from raygrid.node.lattice import HALF, MOST_TRIES, beside_ray, cell_index, nearest
+from raygrid.node.packets import SHORTEST
+from raygrid.node.walk import inverse
 
 TRIES = MOST_TRIES  # takes a primary ray 0.03 to 0.1 steps aside instead of 0.4
 

@@ -24,8 +24,8 @@ from typing import Any, cast
 
 from numba import njit
 
-from . import kernel_cache
-from .kernel_load import LazyCache
+from raygrid.node import kernel_cache
+from raygrid.node.kernel_load import LazyCache
 
 Function = Callable[..., Any]  # annotations inside kernels would never be checked, so they have none
 

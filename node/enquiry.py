@@ -28,7 +28,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from .stamped import ASK, LAST, NO, YES, Enquiry
+from raygrid.node.stamped import ASK, LAST, NO, YES, Enquiry
 
 Index = tuple[int, int, int]
 Post = Callable[[int, Enquiry], None]

@@ -18,13 +18,13 @@ from numba.core import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from .ahead import behind, corners, inverse_eight
-from .camera import R2_X, R2_Y, TRIES
-from .compiled import part
-from .lattice import FINE, HALF, LONGEST_STEP
-from .newborn import nearest_eight, next_on_lattice, put_made, rest_of_ray, words_of
-from .packets import PRIMARY, SHORTEST, pack_weight
-from .vectors import EIGHT, Lanes, Table, least, most, splat, splats
+from raygrid.node.ahead import behind, corners, inverse_eight
+from raygrid.node.camera import R2_X, R2_Y, TRIES
+from raygrid.node.compiled import part
+from raygrid.node.lattice import FINE, HALF, LONGEST_STEP
+from raygrid.node.newborn import nearest_eight, next_on_lattice, put_made, rest_of_ray, words_of
+from raygrid.node.packets import PRIMARY, SHORTEST, pack_weight
+from raygrid.node.vectors import EIGHT, Lanes, Table, least, most, splat, splats
 
 LOT = 128  # samples that are noted before they are worked out; a multiple of EIGHT
 # rows of `facts`: of a primary the point in the image; of a return its intensity

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from .link import Channel
+    from raygrid.node.link import Channel
 
 FAULT_KINDS = ("drop", "double", "reorder", "delay", "corrupt", "truncate")
 DEFAULT_RATE = 1e-4

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .lattice import HALF, Cell, Space
+from raygrid.node.lattice import HALF, Cell, Space
 
 
 class Branch(NamedTuple):

@@ -30,8 +30,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import kernel, part
-from .lanes import CHILDREN, WIDE
+from raygrid.node.compiled import kernel, part
+from raygrid.node.lanes import CHILDREN, WIDE
 
 INFLATE = 4e-6  # machine coordinates; a hit that counts lies within SLACK / 4 of its surface's box
 LEAF = 4  # most items in a leaf

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import kernel
-from .hierarchy import WORDS, build
-from .intersect import (
+from raygrid.node.compiled import kernel
+from raygrid.node.hierarchy import WORDS, build
+from raygrid.node.intersect import (
     CONE_AXIS,
     CONE_BASE,
     CONE_COLUMNS,
@@ -32,12 +32,12 @@ from .intersect import (
     POLY_COLUMNS,
     POLY_DROP,
 )
-from .lattice import SLACK, Cell
-from .packets import SHORTEST
-from .refit import refitted
-from .surfaces import STORED_AS, STRIDE, AddedKind, AnyKind, Batch, Kind, SurfaceSet
-from .tables import KIND_SHIFT, Surfaces
-from .turning import turns
+from raygrid.node.lattice import SLACK, Cell
+from raygrid.node.packets import SHORTEST
+from raygrid.node.refit import refitted
+from raygrid.node.surfaces import STORED_AS, STRIDE, AddedKind, AnyKind, Batch, Kind, SurfaceSet
+from raygrid.node.tables import KIND_SHIFT, Surfaces
+from raygrid.node.turning import turns
 
 F64 = NDArray[np.float64]
 MOST_BINS = 1024  # strips of a polygon's height

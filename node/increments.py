@@ -25,13 +25,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import ProtocolError
-from .flood import Branch, port_box
-from .lattice import HALF, Cell, Space, make_cell
-from .motions import Moves, anchors, placed, read_groups, read_move
-from .overlap import meets
-from .packets import LATTICE
-from .surfaces import F64, Batch, Kind
+from raygrid.node.errors import ProtocolError
+from raygrid.node.flood import Branch, port_box
+from raygrid.node.lattice import HALF, LATTICE, Cell, Space, make_cell
+from raygrid.node.motions import Moves, anchors, placed, read_groups, read_move
+from raygrid.node.overlap import meets
+from raygrid.node.surfaces import F64, Batch, Kind
 
 Index = tuple[int, int, int]
 MOVED = 8  # in the place of the corner (0 to 7) in a message of surfaces: handed on after a motion

@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compiled import part
-from .lattice import SLACK
+from raygrid.node.compiled import part
+from raygrid.node.lattice import SLACK
 
 MISS = np.inf
 GRAZING = 1e-9  # sine of the least angle between ray and plane; also the least area of a triangle over its edges

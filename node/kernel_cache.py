@@ -29,8 +29,8 @@ from typing import Any, NamedTuple
 from numba.core import config as _config
 from xxhash import xxh3_128_digest
 
-from .remarks import remark
-from .trusted import why_not_file, why_not_trusted
+from raygrid.node.remarks import remark
+from raygrid.node.trusted import why_not_file, why_not_trusted
 
 config: Any = _config  # its names are made at run time
 

@@ -39,10 +39,18 @@ from numba.core import caching as _caching
 from numba.core import codegen as _codegen
 from numba.core import config as _config
 
-from . import kernel_cache
-from .kernel_cache import DirectoryName, doubt, in_directory, make_private, read_sealed, say_where, write_sealed
-from .remarks import remark
-from .trusted import why_not_trusted
+from raygrid.node import kernel_cache
+from raygrid.node.kernel_cache import (
+    DirectoryName,
+    doubt,
+    in_directory,
+    make_private,
+    read_sealed,
+    say_where,
+    write_sealed,
+)
+from raygrid.node.remarks import remark
+from raygrid.node.trusted import why_not_trusted
 
 binding: Any = _binding
 caching: Any = _caching

@@ -17,11 +17,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import part
-from .errors import SceneError
-from .packets import LATTICE
-from .surfaces import STORED_AS, AddedKind, Batch, Kind, SurfaceSet
+from raygrid.node.compiled import part
+from raygrid.node.errors import SceneError
+from raygrid.node.surfaces import STORED_AS, AddedKind, Batch, Kind, SurfaceSet
 
+LATTICE = 1 << 24  # steps an axis
 HALF = LATTICE // 2
 LONGEST_STEP = 2.0**-23  # the step of the longest axis is at most this
 T_MIN = LONGEST_STEP  # no hit is nearer to a ray's origin than this, in any cell

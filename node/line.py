@@ -10,8 +10,8 @@ from __future__ import annotations
 import socket
 from typing import Any
 
-from .errors import ProtocolError
-from .maps import pack_map, read_map
+from raygrid.node.errors import ProtocolError
+from raygrid.node.maps import pack_map, read_map
 
 LONGEST_WORDS = 1 << 16  # bytes
 

@@ -22,8 +22,9 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import ProtocolError
-from .messages import (
+from raygrid.node.errors import ProtocolError
+from raygrid.node.messages import (
+    HEAD,
     HEADER,
     IS_DATA,
     VERSION,
@@ -36,8 +37,7 @@ from .messages import (
     read_order,
     seal,
 )
-from .outputs import HEAD
-from .packets import SIZE
+from raygrid.node.packets import SIZE
 
 # places in a link's book: whole numbers that compiled code keeps, too (`node.rounds`)
 SOCKET, REGULAR, EPOCH = 0, 1, 2  # address of its ZeroMQ socket, 0: not for compiled code; `Link.regular`; epoch

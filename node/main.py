@@ -10,17 +10,17 @@ from typing import Any
 
 import zmq
 
-from .errors import ProtocolError
-from .faulty import FaultPlan, Faulty, tend
-from .line import Line
-from .link import Channel, Link, State
-from .pair import Pair
-from .probe import Probe, read_rate
-from .processor import Processor
-from .reset import read_reset
-from .usage import keep_freed_memory
-from .walk import HOST, OPPOSITE
-from .wired import Wired
+from raygrid.node.errors import ProtocolError
+from raygrid.node.faulty import FaultPlan, Faulty, tend
+from raygrid.node.line import Line
+from raygrid.node.link import Channel, Link, State
+from raygrid.node.pair import Pair
+from raygrid.node.probe import Probe, read_rate
+from raygrid.node.processor import Processor
+from raygrid.node.reset import read_reset
+from raygrid.node.usage import keep_freed_memory
+from raygrid.node.walk import HOST, OPPOSITE
+from raygrid.node.wired import Wired
 
 PORT_NAMES = ("-x", "+x", "-y", "+y", "-z", "+z", "host")
 CHOKED_SECONDS = 0.002  # a socket without room for what a link may send is tried again after this
@@ -113,7 +113,7 @@ def processor_class(config: dict[str, Any]) -> type[Processor]:
     """What a node is: one that keeps machine time if the array is `timed`."""
     if not config.get("timed", False):
         return Processor
-    from .timed_processor import TimedProcessor
+    from raygrid.node.timed_processor import TimedProcessor
 
     return TimedProcessor
 
@@ -141,7 +141,7 @@ def _serve(
     processor = kind(index, shape, open_links(config, channels), config["batch"], programs=bool(config.get("programs")))
     profiled = bool(config.get("profile"))
     if profiled:
-        from .profile import Profile
+        from raygrid.node.profile import Profile
 
         Profile(processor)
     faults = [channel for channel in channels.values() if isinstance(channel, Faulty)]

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import msgpack
 
-from .errors import ProtocolError
+from raygrid.node.errors import ProtocolError
 
 MOST_ITEMS = 1 << 16  # entries of any list or map
 DEEPEST = 8  # lists and maps in each other

@@ -23,17 +23,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from xxhash import xxh3_64_intdigest
 
-from .errors import ProtocolError
-from .maps import pack_map, read_map
-from .outputs import HEAD
-from .packets import SIZE
-from .surfaces import OWN_HALF, STORED_AS, STRIDE, SURFACE_KINDS, AddedKind, Batch, Kind
+from raygrid.node.errors import ProtocolError
+from raygrid.node.maps import pack_map, read_map
+from raygrid.node.packets import SIZE
+from raygrid.node.surfaces import OWN_HALF, STORED_AS, STRIDE, SURFACE_KINDS, AddedKind, Batch, Kind
 
 VERSION = 2
 MAX_MESSAGE = (
     1 << 25
 )  # bytes; ZMQ_MAXMSGSIZE of every socket; a frame of the most materials and lights takes half of it
 WINDOW = 32  # PACKETS and SURFACES messages under way on one direction of a link
+HEAD = 20  # bytes of a header, kept free at the head of every output
 HEADER = struct.Struct("<BBHIIII")
 SUMMED = 16  # bytes of the header before the checksum
 CHECKSUM = struct.Struct("<I")

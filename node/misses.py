@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from .camera import entry, eye_ray, image_point
-from .compiled import kernel
-from .pixels import fixed_point
-from .step import edge_colour
+from raygrid.node.camera import entry, eye_ray, image_point
+from raygrid.node.compiled import kernel
+from raygrid.node.pixels import fixed_point
+from raygrid.node.step import edge_colour
 
 
 @kernel

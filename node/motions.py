@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import ProtocolError
-from .surfaces import STORED_AS, AddedKind, AnyKind, Batch, Kind
-from .turning import products, turns
+from raygrid.node.errors import ProtocolError
+from raygrid.node.surfaces import STORED_AS, AddedKind, AnyKind, Batch, Kind
+from raygrid.node.turning import products, turns
 
 F64 = NDArray[np.float64]
 Ints = NDArray[np.int64]

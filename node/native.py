@@ -1,12 +1,9 @@
-"""C functions called from compiled code by their addresses: those of ZeroMQ that links need, and a checksum.
+"""The C functions of ZeroMQ that links need, and of a checksum, for calls from compiled code by their addresses.
 
 An address is a number handed in when a kernel is called, so that compiled code stays good for other processes and
 can be kept on disk. Who has no such functions (another build of pyzmq or xxhash) gets no addresses, and the links are
 served by Python alone: slower, and the same in all else. With RAYGRID_LINKS=python in the environment nobody has any.
 """
-
-# mypy: disallow-untyped-calls=False
-# numba's helpers have no types
 
 from __future__ import annotations
 
@@ -16,13 +13,9 @@ import os
 import sys
 from collections.abc import Iterable
 from functools import cache
-from typing import Any
 
 import numpy as np
 import zmq
-from llvmlite import ir
-from numba.core import cgutils, types
-from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 # places in the table of addresses
@@ -127,127 +120,3 @@ class Message:
     def has_more(self) -> bool:
         """Whether it is but a part of a message."""
         return bool(self._more(self._place))
-
-
-_LONG, _INT = ir.IntType(64), ir.IntType(32)
-
-
-def _called(result: ir.Type) -> Any:
-    """The code generator of a call by address with whole numbers."""
-
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        address, packed = arguments
-        numbers = cgutils.unpack_tuple(builder, packed)
-        function = ir.FunctionType(result, [_LONG] * len(numbers))
-        value = builder.call(builder.inttoptr(address, function.as_pointer()), numbers)
-        return value if result is _LONG else builder.sext(value, _LONG)
-
-    return codegen
-
-
-def _call_long(typingctx: Any, address: Any, arguments: Any) -> Any:
-    """Call a C function of 64-bit numbers (a tuple) that gives one; what it gives, as int64."""
-    return types.int64(types.int64, arguments), _called(_LONG)
-
-
-def _call_int(typingctx: Any, address: Any, arguments: Any) -> Any:
-    """Call a C function of 64-bit numbers (a tuple) that gives an `int`; what it gives, as int64."""
-    return types.int64(types.int64, arguments), _called(_INT)
-
-
-def _bytes_at(typingctx: Any, address: Any, size: Any) -> Any:
-    """The bytes from an address on, as uint8 (size,). They must outlive the array."""
-    array = types.Array(types.uint8, 1, "C")
-
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        made = context.make_array(array)(context, builder)
-        data = builder.inttoptr(arguments[0], ir.IntType(8).as_pointer())
-        one = context.get_constant(types.intp, 1)
-        length = arguments[1]
-        made.data = data
-        made.shape = cgutils.pack_array(builder, [length], ty=context.get_value_type(types.intp))
-        made.strides = cgutils.pack_array(builder, [one], ty=context.get_value_type(types.intp))
-        made.itemsize, made.nitems = one, length
-        made.meminfo = context.get_constant_null(types.MemInfoPointer(types.voidptr))
-        made.parent = context.get_constant_null(types.pyobject)
-        return made._getvalue()
-
-    return array(types.int64, types.int64), codegen
-
-
-def _address(typingctx: Any, array: Any, index: Any) -> Any:
-    """The address of an element of a flat array."""
-
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-        return builder.ptrtoint(builder.gep(data, [arguments[1]]), _LONG)
-
-    return types.int64(array, types.int64), codegen
-
-
-def _copy_bytes(typingctx: Any, source: Any, at: Any, target: Any, to: Any, size: Any) -> Any:
-    """Copy bytes between two flat uint8 arrays, which must not overlap there. Nothing is checked.
-
-    A loop over bytes becomes as many loads and stores, since arrays might overlap; of a packet this makes two each.
-    """
-
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        places = []
-        for array, index in ((2, 3), (0, 1)):
-            data = context.make_array(signature.args[array])(context, builder, arguments[array]).data
-            places.append(builder.gep(data, [arguments[index]]))
-        cgutils.raw_memcpy(builder, places[0], places[1], arguments[4], 1)
-        return context.get_dummy_value()
-
-    return types.void(source, types.int64, target, types.int64, types.int64), codegen
-
-
-def _put_words(typingctx: Any, target: Any, at: Any, first: Any, second: Any, third: Any) -> Any:
-    """Put three int64 into a flat uint8 array, 24 bytes from `at` on, the least of each first. Nothing is checked."""
-
-    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-        for k, value in enumerate(arguments[2:]):
-            place = builder.gep(data, [builder.add(arguments[1], ir.Constant(_LONG, 8 * k))])
-            builder.store(_least_first(builder, value), builder.bitcast(place, _LONG.as_pointer()), align=1)
-        return context.get_dummy_value()
-
-    return types.void(target, types.int64, types.int64, types.int64, types.int64), codegen
-
-
-def _load(bits: int) -> Any:
-    """The intrinsic that reads so many bits, the least byte first, as int64.
-
-    numba looks at every index whether it counts from the end, so bytes that are named one by one are loaded one by one.
-    """
-
-    def intrinsic_function(typingctx: Any, array: Any, at: Any) -> Any:
-        """The number that begins at place `at` of a flat uint8 array. Nothing is checked."""
-
-        def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-            place = builder.bitcast(builder.gep(data, [arguments[1]]), ir.IntType(bits).as_pointer())
-            value = _least_first(builder, builder.load(place, align=1))
-            return value if bits == 64 else builder.zext(value, _LONG)
-
-        return types.int64(array, types.int64), codegen
-
-    return intrinsic(intrinsic_function)
-
-
-def _least_first(builder: Any, value: Any) -> Any:
-    """A number in the order of bytes of this computer that puts the least first."""
-    return value if sys.byteorder == "little" or value.type.width == 8 else builder.bswap(value)
-
-
-# kernels call them without the first argument
-call_long: Any = intrinsic(_call_long)
-call_int: Any = intrinsic(_call_int)
-bytes_at: Any = intrinsic(_bytes_at)
-address: Any = intrinsic(_address)
-copy_bytes: Any = intrinsic(_copy_bytes)
-put_words: Any = intrinsic(_put_words)
-load_8: Any = _load(8)
-load_16: Any = _load(16)
-load_32: Any = _load(32)
-load_64: Any = _load(64)

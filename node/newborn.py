@@ -21,20 +21,19 @@ from numba.core import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from .ahead import behind, corners
-from .compiled import part
-from .lattice import GENTLE, HALF, LIFT, SLOW, beside_ray
-from .native import put_words
-from .packets import (
+from raygrid.node.ahead import behind, corners
+from raygrid.node.compiled import part
+from raygrid.node.intrinsics import put_words
+from raygrid.node.lattice import GENTLE, HALF, LATTICE, LIFT, SLOW, beside_ray
+from raygrid.node.packets import (
     HALF_DIRECTION,
     LARGEST_BINARY32,
     LARGEST_SHADOW_WEIGHT,
-    LATTICE,
     SHORTEST,
     TOO_LARGE_WEIGHT,
     WEIGHT_BIAS,
 )
-from .vectors import EIGHT, Lanes, Table, least, most, splats, within
+from raygrid.node.vectors import EIGHT, Lanes, Table, least, most, splats, within
 
 BROOD = 128  # births that are noted before they are written; a multiple of EIGHT
 SHADOW_BROOD, RAY_BROOD, BROODS = 0, 1, 2

@@ -9,10 +9,10 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
-from .errors import ProtocolError, SceneError
-from .lattice import Space, make_space
-from .packets import MAX_DEPTH, MAX_LIGHTS, MAX_SAMPLES
-from .tables import LIGHT_COLUMNS, MATERIAL_COLUMNS, RULE_COLUMNS, Frame
+from raygrid.node.errors import ProtocolError, SceneError
+from raygrid.node.frame_tables import LIGHT_COLUMNS, MATERIAL_COLUMNS, RULE_COLUMNS, Frame
+from raygrid.node.lattice import Space, make_space
+from raygrid.node.packets import MAX_DEPTH, MAX_LIGHTS, MAX_SAMPLES
 
 MAX_SIDE = 65536  # pixels
 

@@ -14,17 +14,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .ahead import AHEAD, Ahead, make_ahead
-from .camera import home
-from .compiled import part
-from .eyes import Seen, entered_at, make_seen, note_return, noted_return, pixel_of, work_out_returns
-from .newborn import RAY_BROOD, SHADOW_BROOD, Newborn, make_newborn, note, put, starts_behind, work_out
-from .packets import RETURN, SIZE, copy_packet, put_return
-from .pixels import fixed_point, slot
-from .tables import BORN, DIED, HOMES, MISADDRESSED, SENT
-from .walk import HOST, NO_PORT, OUTPUTS, SELF, SELF_RAYS, towards_start
-
-HEAD = 20  # bytes kept free at the head of every output for the link's header
+from raygrid.node.ahead import AHEAD, Ahead, make_ahead
+from raygrid.node.camera import home
+from raygrid.node.compiled import part
+from raygrid.node.counters import BORN, DIED, HOMES, MISADDRESSED, SENT
+from raygrid.node.eyes import Seen, entered_at, make_seen, note_return, noted_return, pixel_of, work_out_returns
+from raygrid.node.messages import HEAD
+from raygrid.node.newborn import RAY_BROOD, SHADOW_BROOD, Newborn, make_newborn, note, put, starts_behind, work_out
+from raygrid.node.packets import RETURN, SIZE, copy_packet, put_return
+from raygrid.node.pixels import fixed_point, slot
+from raygrid.node.walk import HOST, NO_PORT, OUTPUTS, SELF, SELF_RAYS, towards_start
 
 
 class Outputs(NamedTuple):

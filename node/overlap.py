@@ -16,9 +16,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import kernel, part, piece
-from .lattice import SLACK
-from .surfaces import AddedKind, Batch, Kind
+from raygrid.node.compiled import kernel, part, piece
+from raygrid.node.lattice import SLACK
+from raygrid.node.surfaces import AddedKind, Batch, Kind
 
 F64 = NDArray[np.float64]
 

@@ -36,9 +36,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import kernel, lean, part
-from .errors import PacketError
-from .native import copy_bytes, load_8, load_16, load_32, load_64, put_words
+from raygrid.node.compiled import kernel, lean, part
+from raygrid.node.errors import PacketError
+from raygrid.node.intrinsics import copy_bytes, load_8, load_16, load_32, load_64, put_words
 
 SIZE = 25
 
@@ -58,7 +58,6 @@ class PacketKind(IntEnum):
 
 
 MAX_DEPTH = 31
-LATTICE = 1 << 24  # steps an axis
 HALF_DIRECTION = (1 << 23) - 1  # the code of component 0; codes run 0 .. 2 * HALF_DIRECTION
 MAX_LIGHTS = 1 << 16
 MAX_SAMPLES = 1 << 32

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import zmq
 
-from .errors import ProtocolError
-from .messages import MAX_MESSAGE, WINDOW
+from raygrid.node.errors import ProtocolError
+from raygrid.node.messages import MAX_MESSAGE, WINDOW
 
 # as plain numbers: looking an enum member up costs more than the call
 NOBLOCK, EVENTS, POLLIN, RCVMORE = int(zmq.NOBLOCK), int(zmq.EVENTS), int(zmq.POLLIN), int(zmq.RCVMORE)

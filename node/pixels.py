@@ -17,10 +17,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import kernel, part
-from .lattice import HALF, Cell, Space
-from .packets import LATTICE, MAX_PIXEL_SAMPLES, MAX_PIXEL_SUM, PIXEL, SIZE, put_pixel
-from .tables import BORN, Frame
+from raygrid.node.compiled import kernel, part
+from raygrid.node.counters import BORN
+from raygrid.node.frame_tables import Frame
+from raygrid.node.lattice import HALF, LATTICE, Cell, Space
+from raygrid.node.packets import MAX_PIXEL_SAMPLES, MAX_PIXEL_SUM, PIXEL, SIZE, put_pixel
 
 UNIT = 2.0**24  # fixed-point units in an intensity of 1
 MAX_INTENSITY = 65536.0

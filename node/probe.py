@@ -27,14 +27,14 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from .backlog import CLASSES
-from .errors import ProtocolError
-from .packets import KINDS, SIZE
-from .usage import proportional_memory
-from .walk import HOST, SELF
+from raygrid.node.backlog import CLASSES
+from raygrid.node.errors import ProtocolError
+from raygrid.node.packets import KINDS, SIZE
+from raygrid.node.usage import proportional_memory
+from raygrid.node.walk import HOST, SELF
 
 if TYPE_CHECKING:
-    from .processor import Processor
+    from raygrid.node.processor import Processor
 
 MEMORY_SECONDS = 5.0  # between two looks at memory, which take the kernel two milliseconds or more
 FASTEST = 100.0  # samples a second

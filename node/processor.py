@@ -33,20 +33,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .answers import add_answer, record_of
-from .errors import ProtocolError
-from .flood import Branch, branches, tree_children, tree_parent
-from .increments import MOVED, Way
-from .link import Arrival, Link, State
-from .messages import MessageKind, check_packets, pack_surfaces, read_order, read_surfaces
-from .orders import read_frame, read_space
-from .overlap import meets
-from .packets import FAULTS
-from .rounds import BATCH, FLUSH, LEAST, NAP, NAPS
-from .surfaces import Batch
-from .tables import COUNTS
-from .tallies import Tallies
-from .tally import (
+from raygrid.node.answers import add_answer, record_of
+from raygrid.node.counters import COUNTS
+from raygrid.node.errors import ProtocolError
+from raygrid.node.flood import Branch, branches, tree_children, tree_parent
+from raygrid.node.increments import MOVED, Way
+from raygrid.node.link import Arrival, Link, State
+from raygrid.node.messages import MessageKind, check_packets, pack_surfaces, read_order, read_surfaces
+from raygrid.node.orders import read_frame, read_space
+from raygrid.node.overlap import meets
+from raygrid.node.packets import FAULTS
+from raygrid.node.rounds import BATCH, FLUSH, LEAST, NAP, NAPS
+from raygrid.node.surfaces import Batch
+from raygrid.node.tallies import Tallies
+from raygrid.node.tally import (
     ALLOWED,
     COLLECTING,
     DATA_DONE,
@@ -58,11 +58,11 @@ from .tally import (
     SUMS,
     WAITING,
 )
-from .tracer import USUAL_FLUSH, Tracer
-from .trial import ready_program
-from .turn import IDLE
-from .walk import HOST
-from .wired import Wired
+from raygrid.node.tracer import USUAL_FLUSH, Tracer
+from raygrid.node.trial import ready_program
+from raygrid.node.turn import IDLE
+from raygrid.node.walk import HOST
+from raygrid.node.wired import Wired
 
 PHASES = {
     "space": "load",

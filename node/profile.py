@@ -24,21 +24,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .ahead import AHEAD, column, read_ahead, set_up_ahead
-from .backlog import CLASSES, RAYS, SHADOWS, Backlog
-from .births import bear_primaries, new_cursor
-from .compiled import lean
-from .lattice import T_MIN
-from .packets import PRIMARY, SHADOW, SIZE
-from .profile_parts import PARTS
-from .rounds import RETURN
-from .tables import BORN, COUNTS, WALKS
-from .traverse import blocked, closest
-from .turn import PORTION, TURN
+from raygrid.node.ahead import AHEAD, column, read_ahead, set_up_ahead
+from raygrid.node.backlog import CLASSES, RAYS, SHADOWS, Backlog
+from raygrid.node.births import bear_primaries, new_cursor
+from raygrid.node.compiled import lean
+from raygrid.node.counters import BORN, COUNTS, WALKS
+from raygrid.node.lattice import T_MIN
+from raygrid.node.packets import PRIMARY, SHADOW, SIZE
+from raygrid.node.profile_parts import PARTS
+from raygrid.node.rounds import RETURN
+from raygrid.node.traverse import blocked, closest
+from raygrid.node.turn import PORTION, TURN
 
 if TYPE_CHECKING:
-    from .processor import Processor
-    from .tracer import Tracer
+    from raygrid.node.processor import Processor
+    from raygrid.node.tracer import Tracer
 
 EVERY = 2  # calls, one of which is sampled
 LEAST = 64  # packets worth sampling

@@ -17,22 +17,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compiled import part
-from .shading import light_discs, unit
-from .shading import normals as plain_normals
-from .step import _bear_shadows as plain_shadows
-from .surfaces import AddedKind
-from .tables import (
-    KIND_SHIFT,
-    OWN_BOX,
-    OWN_NUMBER,
-    OWN_SCALE,
-    OWN_SHIFT,
-    RULE,
-    RULE_NUMBER,
-    SLOT_MASK,
-)
-from .traverse import _meet as plain_meet
+from raygrid.node.compiled import part
+from raygrid.node.frame_tables import RULE, RULE_NUMBER
+from raygrid.node.shading import light_discs, unit
+from raygrid.node.shading import normals as plain_normals
+from raygrid.node.step import _bear_shadows as plain_shadows
+from raygrid.node.surfaces import AddedKind
+from raygrid.node.tables import KIND_SHIFT, OWN_BOX, OWN_NUMBER, OWN_SCALE, OWN_SHIFT, SLOT_MASK
+from raygrid.node.traverse import _meet as plain_meet
 
 KIND = int(AddedKind.PROGRAMMED)
 BRIGHTEST = 1e6  # of a tint or background

@@ -32,9 +32,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from . import kernel_cache
-from .compiled import part
-from .errors import ProtocolError
+from raygrid.node import kernel_cache
+from raygrid.node.compiled import part
+from raygrid.node.errors import ProtocolError
 
 HOOKS: dict[str, tuple[str, ...]] = {
     "surface_hits": ("origin", "direction", "numbers"),

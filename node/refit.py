@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import kernel
-from .hierarchy import (
+from raygrid.node.compiled import kernel
+from raygrid.node.hierarchy import (
     COUNT_MASK,
     COUNT_SHIFT,
     FIRST_MASK,
@@ -22,7 +22,7 @@ from .hierarchy import (
     WORDS,
     aligned,
 )
-from .lanes import CHILDREN, WIDE
+from raygrid.node.lanes import CHILDREN, WIDE
 
 WORSE = 1.25  # expected cost, against that of the tree when it was built, from which building anew pays
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from .errors import ProtocolError
-from .walk import HOST
+from raygrid.node.errors import ProtocolError
+from raygrid.node.walk import HOST
 
 LAST_EPOCH = 0xFFFF  # the epoch of a message header is a u16
 LONGEST_NAME = 200  # characters of an endpoint or of the machine's name

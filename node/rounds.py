@@ -13,17 +13,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from . import native, tally
-from .backlog import RAYS, SHADOWS, TRAVELLERS, sort
-from .births import DONE
-from .compiled import lean, part
-from .link import CREDIT, DATA_DONE, DATA_DONE_TOLD, DATA_SENT, EPOCH, RECEIVED, REGULAR, SOCKET
-from .messages import SUMMED, WINDOW, MessageKind
-from .native import address, bytes_at, call_int, call_long
-from .outputs import HEAD
-from .packets import SIZE, read_u16, read_u32
-from .pair import NOBLOCK
-from .tally import (
+from raygrid.node import native, tally
+from raygrid.node.backlog import RAYS, SHADOWS, TRAVELLERS, sort
+from raygrid.node.births import DONE
+from raygrid.node.compiled import lean, part
+from raygrid.node.intrinsics import address, bytes_at, call_int, call_long
+from raygrid.node.link import CREDIT, DATA_DONE, DATA_DONE_TOLD, DATA_SENT, EPOCH, RECEIVED, REGULAR, SOCKET
+from raygrid.node.messages import HEAD, SUMMED, WINDOW, MessageKind
+from raygrid.node.packets import SIZE, read_u16, read_u32
+from raygrid.node.pair import NOBLOCK
+from raygrid.node.tally import (
     ANSWER_BYTES,
     DEADLINE,
     FRESH,
@@ -35,9 +34,9 @@ from .tally import (
     QUOTA,
     UNTOLD,
 )
-from .turn import CROWDED, FULL, IDLE, LONG, turn
-from .walk import HOST
-from .wires import LINKS, MONOTONIC, OF_THREAD, RECEIVING, SENDING, TIMED, TURNING, checksum, clock, post
+from raygrid.node.turn import CROWDED, FULL, IDLE, LONG, turn
+from raygrid.node.walk import HOST
+from raygrid.node.wires import LINKS, MONOTONIC, OF_THREAD, RECEIVING, SENDING, TIMED, TURNING, checksum, clock, post
 
 # further reasons to end, after those of a turn
 SEND, OTHER = 4, 5  # Python has something to send; OTHER + port: a message for Python

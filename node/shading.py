@@ -12,11 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compiled import part
-from .intersect import CONE_AXIS, CONE_BASE, CONE_SLOPE, PLANE_NORMAL
-from .lattice import coordinate
-from .packets import SHORTEST
-from .tables import (
+from raygrid.node.compiled import part
+from raygrid.node.frame_tables import (
     AXIS,
     COS_DISC,
     COS_INNER,
@@ -24,12 +21,14 @@ from .tables import (
     DISC,
     FALLOFF,
     INTENSITY,
-    KIND_SHIFT,
     LIGHT_KIND,
     PLACE,
-    SLOT_MASK,
     SPOT,
 )
+from raygrid.node.intersect import CONE_AXIS, CONE_BASE, CONE_SLOPE, PLANE_NORMAL
+from raygrid.node.lattice import coordinate
+from raygrid.node.packets import SHORTEST
+from raygrid.node.tables import KIND_SHIFT, SLOT_MASK
 
 
 @part

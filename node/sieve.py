@@ -22,7 +22,7 @@ from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
 
-from .ahead import (
+from raygrid.node.ahead import (
     AHEAD,
     ASTRAY,
     BOX_HIGH,
@@ -35,11 +35,11 @@ from .ahead import (
     T_OUT,
     open_root_of,
 )
-from .compiled import part
-from .hierarchy import NOWHERE
-from .lanes import LEAVE_LATER, WIDE
-from .vectors import EIGHT, Lanes, Table, least, most, splat, splats
-from .walk import PORTS, leaves_array
+from raygrid.node.compiled import part
+from raygrid.node.hierarchy import NOWHERE
+from raygrid.node.lanes import LEAVE_LATER, WIDE
+from raygrid.node.vectors import EIGHT, Lanes, Table, least, most, splat, splats
+from raygrid.node.walk import PORTS, leaves_array
 
 # lists: rays that go on to the next cell; that leave the array, reach their light, or are astray; that meet boxes of
 # the root; that meet the box of all

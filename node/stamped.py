@@ -18,19 +18,41 @@ from typing import Any, NamedTuple, TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import ProtocolError
-from .outputs import HEAD
-from .packets import SIZE
-from .surfaces import Kind
-from .tables import COUNTS
-from .timed import NEVER, Prices
+from raygrid.node.counters import COUNTS, SENT
+from raygrid.node.errors import ProtocolError
+from raygrid.node.messages import HEAD
+from raygrid.node.packets import SIZE
+from raygrid.node.surfaces import Kind
 
 STAMP = struct.Struct("<Iq")
 ENQUIRY = struct.Struct("<IBHHHIqq")
 Long = NDArray[np.int64]
 MOST_TICKS = 10**12  # of one price; no sum of them leaves 64 bits
+NEVER = np.int64(1) << 62  # later than any tick
 LAST = int(NEVER)
 ASK, YES, NO = 0, 1, 2
+
+
+class Prices(NamedTuple):
+    """A cost model as kernels read it; all in ticks.
+
+    counts        int64 (COUNTS,): for each of the counts of a step
+    packet        for each packet served, 1 or more
+    transmit      a packet of 25 bytes on a link, 0 or more
+    latency       from the last byte sent until it can be served, 1 or more
+    by_processor  1: the processor moves the bytes, 0: the link
+    """
+
+    counts: Long
+    packet: int
+    transmit: int
+    latency: int
+    by_processor: int
+
+    @property
+    def lookahead(self) -> int:
+        """Nothing decided at tick t arrives anywhere before t + lookahead."""
+        return int(self.packet + self.counts[SENT] + self.transmit + self.latency)
 
 
 class Stamped(NamedTuple):

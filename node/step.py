@@ -10,12 +10,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from .ahead import AHEAD, ASTRAY, ROOM, boxes_of, column, read_ahead, set_up_ahead, take_root
-from .compiled import lean, part
-from .lattice import T_MIN
-from .newborn import RAY_BROOD, SHADOW_BROOD
-from .outputs import HEAD, bear, fullest, give_back, hand_on, hand_on_all, keep, noted, write_all_noted
-from .packets import (
+from raygrid.node.ahead import AHEAD, ASTRAY, ROOM, boxes_of, column, read_ahead, set_up_ahead, take_root
+from raygrid.node.compiled import lean, part
+from raygrid.node.counters import BOXES, DIED, HITS, WALKS
+from raygrid.node.frame_tables import DIFFUSE, HIGHLIGHT, IOR, SHINE, SPECULAR, TRANSMISSION
+from raygrid.node.lattice import T_MIN
+from raygrid.node.messages import HEAD
+from raygrid.node.newborn import RAY_BROOD, SHADOW_BROOD
+from raygrid.node.outputs import bear, fullest, give_back, hand_on, hand_on_all, keep, noted, write_all_noted
+from raygrid.node.packets import (
     PIXEL,
     REFLECTED,
     REFRACTED,
@@ -33,31 +36,10 @@ from .packets import (
     unit_vector,
     unpack_shadow_weight,
 )
-from .shading import light_direction, light_discs, light_intensity, normals, place, refract
-from .sieve import ENDING, PASSING, box_of_all, ends_of_array, sift, unfinished
-from .tables import (
-    BOXES,
-    DIED,
-    DIFFUSE,
-    HIGHLIGHT,
-    HITS,
-    IOR,
-    SHINE,
-    SPECULAR,
-    TRANSMISSION,
-    WALKS,
-)
-from .traverse import blocked_below, closest_below, for_boxes, open_root
-from .walk import (
-    HOST,
-    NO_PORT,
-    inverse,
-    is_walking,
-    leaves_array,
-    passage,
-    towards_cell,
-    towards_start,
-)
+from raygrid.node.shading import light_direction, light_discs, light_intensity, normals, place, refract
+from raygrid.node.sieve import ENDING, PASSING, box_of_all, ends_of_array, sift, unfinished
+from raygrid.node.traverse import blocked_below, closest_below, for_boxes, open_root
+from raygrid.node.walk import HOST, NO_PORT, inverse, is_walking, leaves_array, passage, towards_cell, towards_start
 
 # what is done with a packet, by its kind
 WALKS_ON, SHADOWS_ON, SETTLES = 0, 1, 2

@@ -28,7 +28,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from .turning import turns
+from raygrid.node.turning import turns
 
 F64 = NDArray[np.float64]
 

@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import ProtocolError
-from .link import Link
-from .messages import MessageKind
-from .tally import (
+from raygrid.node.errors import ProtocolError
+from raygrid.node.link import Link
+from raygrid.node.messages import MessageKind
+from raygrid.node.tally import (
     CHILDREN,
     CURRENT,
     DEADLINE,

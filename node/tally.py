@@ -19,12 +19,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .births import DONE
-from .compiled import part
-from .errors import ProtocolError
-from .outputs import HEAD
-from .packets import read_u64
-from .tables import COUNTS
+from raygrid.node.births import DONE
+from raygrid.node.compiled import part
+from raygrid.node.counters import COUNTS
+from raygrid.node.errors import ProtocolError
+from raygrid.node.messages import HEAD
+from raygrid.node.packets import read_u64
 
 # sums of a wave: the counts of node.tables, then these
 HOMES_LEFT, WAITING, RECEIVED, HANDED_ON, COLLECTING, REFUSED, ALLOWED, DATA_SENT, DATA_DONE = range(COUNTS, COUNTS + 9)

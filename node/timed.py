@@ -28,17 +28,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .births import DONE, bear_primaries
-from .compiled import lean, part
-from .outputs import HEAD
-from .packets import KINDS, PRIMARY, SIZE, copy_packet
-from .step import step_one
-from .tables import BORN, COUNTS, DIED, SENT, WALKS
-from .walk import HOST, PORTS, SELF, SELF_RAYS
+from raygrid.node.births import DONE, bear_primaries
+from raygrid.node.compiled import lean, part
+from raygrid.node.counters import BORN, COUNTS, DIED, SENT, WALKS
+from raygrid.node.messages import HEAD
+from raygrid.node.packets import KINDS, PRIMARY, SIZE, copy_packet
+from raygrid.node.stamped import NEVER
+from raygrid.node.step import step_one
+from raygrid.node.walk import HOST, PORTS, SELF, SELF_RAYS
 
 Long = NDArray[np.int64]
-
-NEVER = np.int64(1) << 62  # later than any tick
 
 # a record of the store: words of 8 bytes, and the same memory as bytes
 WORDS = 6
@@ -60,28 +59,6 @@ NEXT_BIRTH, LAST_BIRTH = 47, 48  # the simulator's place in the list of samples
 WAKE, BEFORE, AFTER = 49, 50, 51  # the simulator's wheel
 WALKED = 52  # rays walked through the cell
 FIELDS = 53
-
-
-class Prices(NamedTuple):
-    """A cost model as kernels read it; all in ticks.
-
-    counts        int64 (COUNTS,): for each of the counts of a step
-    packet        for each packet served, 1 or more
-    transmit      a packet of 25 bytes on a link, 0 or more
-    latency       from the last byte sent until it can be served, 1 or more
-    by_processor  1: the processor moves the bytes, 0: the link
-    """
-
-    counts: Long
-    packet: int
-    transmit: int
-    latency: int
-    by_processor: int
-
-    @property
-    def lookahead(self) -> int:
-        """Nothing decided at tick t arrives anywhere before t + lookahead."""
-        return int(self.packet + self.counts[SENT] + self.transmit + self.latency)
 
 
 class Timed(NamedTuple):

@@ -15,18 +15,26 @@ from typing import Any
 
 import numpy as np
 
-from .births import DONE
-from .enquiry import Enquiries
-from .errors import ProtocolError
-from .link import Arrival, Link
-from .messages import MessageKind
-from .outputs import HEAD
-from .packets import FAULTS, SIZE, first_fault
-from .processor import Processor
-from .stamped import LAST, Enquiry, pack_enquiry, pack_stamped, read_enquiry, read_prices, read_stamped
-from .surfaces import Kind
-from .tables import COUNTS
-from .timed import (
+from raygrid.node.births import DONE
+from raygrid.node.counters import COUNTS
+from raygrid.node.enquiry import Enquiries
+from raygrid.node.errors import ProtocolError
+from raygrid.node.link import Arrival, Link
+from raygrid.node.messages import HEAD, MessageKind
+from raygrid.node.packets import FAULTS, SIZE, first_fault
+from raygrid.node.processor import Processor
+from raygrid.node.stamped import (
+    LAST,
+    Enquiry,
+    Prices,
+    pack_enquiry,
+    pack_stamped,
+    read_enquiry,
+    read_prices,
+    read_stamped,
+)
+from raygrid.node.surfaces import Kind
+from raygrid.node.timed import (
     BLOCKED,
     BUSY,
     ENDED,
@@ -41,7 +49,6 @@ from .timed import (
     TRACE,
     WAITED,
     WALKED,
-    Prices,
     Stamps,
     advance,
     grown,
@@ -49,7 +56,7 @@ from .timed import (
     make_timed,
     next_decision,
 )
-from .walk import HOST, PORTS
+from raygrid.node.walk import HOST, PORTS
 
 FIRST_ROOM = 4096  # packets of the store; doubled whenever they do not suffice
 

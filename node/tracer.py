@@ -6,25 +6,27 @@ from typing import Any
 
 import numpy as np
 
-from .backlog import Backlog
-from .births import DONE, new_cursor
-from .errors import ProtocolError
-from .hierarchy import DEPTH
-from .holdings import build_surfaces, empty_surfaces, refit_surfaces
-from .increments import Increments
-from .lattice import Cell, Space, make_cell
-from .outputs import HEAD, clear, make_outputs
-from .overlap import meets
-from .packets import PIXEL, SIZE, Limits
-from .pixels import Pixels, make_pixels, send_pixels
-from .programs import Compiled
-from .refit import WORSE, expected_cost
-from .rounds import AFTER, AT_ONCE, BATCH, BELOW, FLUSH, PACE, RETURN, ROUNDS, WAIT, go
-from .surfaces import AddedKind, Batch, SurfaceSet, merge
-from .tables import BORN, COUNTS, DIED, SENT, Frame, frame_limits
-from .turn import ADMIT_AT_ONCE, ADMIT_BELOW, CROWDED, IDLE, PORTION, TURN
-from .walk import HOST, OUTPUTS, SELF_RAYS
-from .wires import no_wires
+from raygrid.node.backlog import Backlog
+from raygrid.node.births import DONE, new_cursor
+from raygrid.node.counters import BORN, COUNTS, DIED, SENT
+from raygrid.node.errors import ProtocolError
+from raygrid.node.frame_tables import Frame, frame_limits
+from raygrid.node.hierarchy import DEPTH
+from raygrid.node.holdings import build_surfaces, empty_surfaces, refit_surfaces
+from raygrid.node.increments import Increments
+from raygrid.node.lattice import Cell, Space, make_cell
+from raygrid.node.messages import HEAD
+from raygrid.node.outputs import clear, make_outputs
+from raygrid.node.overlap import meets
+from raygrid.node.packets import PIXEL, SIZE, Limits
+from raygrid.node.pixels import Pixels, make_pixels, send_pixels
+from raygrid.node.programs import Compiled
+from raygrid.node.refit import WORSE, expected_cost
+from raygrid.node.rounds import AFTER, AT_ONCE, BATCH, BELOW, FLUSH, PACE, RETURN, ROUNDS, WAIT, go
+from raygrid.node.surfaces import AddedKind, Batch, SurfaceSet, merge
+from raygrid.node.turn import ADMIT_AT_ONCE, ADMIT_BELOW, CROWDED, IDLE, PORTION, TURN
+from raygrid.node.walk import HOST, OUTPUTS, SELF_RAYS
+from raygrid.node.wires import no_wires
 
 CHUNK = 8192  # pixel packets sent in a turn
 USUAL_FLUSH = 256  # packets for which an output is sent although there is work, unless the root says otherwise

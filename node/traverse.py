@@ -12,11 +12,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compiled import part
-from .hierarchy import COUNT_MASK, COUNT_SHIFT, FIRST_MASK, LEAF_BIT, WORDS
-from .intersect import MISS, cone, in_polygon, plane, sphere, triangle
-from .lanes import WIDE, push_boxes
-from .tables import BOXES, KIND_SHIFT, SLOT_MASK, TESTS
+from raygrid.node.compiled import part
+from raygrid.node.counters import BOXES, TESTS
+from raygrid.node.hierarchy import COUNT_MASK, COUNT_SHIFT, FIRST_MASK, LEAF_BIT, WORDS
+from raygrid.node.intersect import MISS, cone, in_polygon, plane, sphere, triangle
+from raygrid.node.lanes import WIDE, push_boxes
+from raygrid.node.tables import KIND_SHIFT, SLOT_MASK
 
 FAREST = 1e18  # stands for infinite times, so that a binary32 holds them
 

@@ -6,12 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from .errors import ProtocolError
-from .lattice import make_space
-from .packets import LATTICE
-from .programs import Compiled, Program, compiled, read_program, try_functions
-from .surfaces import NUMBERS, OWN_HALF, OWN_NUMBERS, STORED_AS, STRIDE, AddedKind, Batch, Kind
-from .tables import LIGHT_COLUMNS, MATERIAL_COLUMNS, RULE, RULE_COLUMNS, Frame
+from raygrid.node.errors import ProtocolError
+from raygrid.node.frame_tables import LIGHT_COLUMNS, MATERIAL_COLUMNS, RULE, RULE_COLUMNS, Frame
+from raygrid.node.lattice import LATTICE, make_space
+from raygrid.node.programs import Compiled, Program, compiled, read_program, try_functions
+from raygrid.node.surfaces import NUMBERS, OWN_HALF, OWN_NUMBERS, STORED_AS, STRIDE, AddedKind, Batch, Kind
 
 MOST_TURNS = 10_000
 
@@ -29,7 +28,7 @@ def ready_program(order: dict[str, Any], allowed: bool) -> Compiled | None:
 
 def attempt(made: Compiled) -> None:
     """Trace a small picture of a programmed surface, a triangle, and the background. Raises what the program raises."""
-    from .tracer import Tracer  # which knows of programs itself
+    from raygrid.node.tracer import Tracer
 
     tracer = Tracer((0, 0, 0), (1, 1, 1))
     tracer.ready = made

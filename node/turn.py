@@ -6,14 +6,15 @@ processor's cache, and what a portion gives birth to for this node is served by 
 
 from __future__ import annotations
 
-from .backlog import CLASSES, MOST, RAYS, SHADOWS, TRAVELLERS
-from .births import DONE, bear_primaries
-from .compiled import part
-from .native import copy_bytes
-from .outputs import HEAD, fullest
-from .packets import SIZE
-from .step import step
-from .walk import SELF, SELF_RAYS
+from raygrid.node.backlog import CLASSES, MOST, RAYS, SHADOWS, TRAVELLERS
+from raygrid.node.births import DONE, bear_primaries
+from raygrid.node.compiled import part
+from raygrid.node.intrinsics import copy_bytes
+from raygrid.node.messages import HEAD
+from raygrid.node.outputs import fullest
+from raygrid.node.packets import SIZE
+from raygrid.node.step import step
+from raygrid.node.walk import SELF, SELF_RAYS
 
 PORTION = 2048  # packets in a call of the step
 TURN = 8192  # packets after which the links are looked at

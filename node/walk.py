@@ -7,7 +7,7 @@ backwards and all nodes agree on the path; a ray makes at most NX + NY + NZ - 2 
 
 from __future__ import annotations
 
-from .compiled import part
+from raygrid.node.compiled import part
 
 # ports, in the order -x +x -y +y -z +z, then what is not a neighbour
 PORTS = 6

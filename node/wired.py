@@ -6,12 +6,12 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from . import native
-from .link import REGULAR, SOCKET, Link
-from .pair import Pair
-from .rounds import OTHER
-from .tally import CHILDREN, OCCUPIED, PARENT, SERVED, Tally
-from .wires import TIMED, no_wires
+from raygrid.node import native
+from raygrid.node.link import REGULAR, SOCKET, Link
+from raygrid.node.pair import Pair
+from raygrid.node.rounds import OTHER
+from raygrid.node.tally import CHILDREN, OCCUPIED, PARENT, SERVED, Tally
+from raygrid.node.wires import TIMED, no_wires
 
 
 class Wired:

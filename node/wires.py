@@ -13,16 +13,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from . import native
-from .compiled import part
-from .link import BOOK, BYTES_SENT, DATA_DONE, DATA_DONE_TOLD, EPOCH, MESSAGES_SENT, SENT, SOCKET
-from .messages import SUMMED
-from .native import address, call_int, call_long
-from .outputs import HEAD
-from .packets import write
-from .pair import NOBLOCK
-from .tally import Tally, make_tally
-from .walk import PORTS
+from raygrid.node import native
+from raygrid.node.compiled import part
+from raygrid.node.intrinsics import address, call_int, call_long
+from raygrid.node.link import BOOK, BYTES_SENT, DATA_DONE, DATA_DONE_TOLD, EPOCH, MESSAGES_SENT, SENT, SOCKET
+from raygrid.node.messages import HEAD, SUMMED
+from raygrid.node.packets import write
+from raygrid.node.pair import NOBLOCK
+from raygrid.node.tally import Tally, make_tally
+from raygrid.node.walk import PORTS
 
 LINKS = PORTS + 1  # to neighbours and, of a corner, to the host
 # places in Wires.spent: nanoseconds of the parts of a round, room for what a clock says, whether rounds are timed

@@ -12,13 +12,12 @@ from support_scenes import Scene, space_of
 
 from raygrid.emulator.memory_array import MemoryArray
 from raygrid.node.backlog import CLASSES
+from raygrid.node.counters import BORN, DIED
 from raygrid.node.link import Channel, Link
 from raygrid.node.memory_pair import MemoryPair
-from raygrid.node.messages import MessageKind
-from raygrid.node.outputs import HEAD
+from raygrid.node.messages import HEAD, MessageKind
 from raygrid.node.packets import KINDS, SIZE
 from raygrid.node.surfaces import merge
-from raygrid.node.tables import BORN, DIED
 
 Shape = tuple[int, int, int]
 Sums = tuple[NDArray[np.int64], NDArray[np.int64]]

@@ -13,16 +13,18 @@ from support_space import Index, indices, neighbour
 
 from raygrid.node import packets
 from raygrid.node.births import DONE, bear_primaries, new_cursor
+from raygrid.node.counters import BORN, COUNTS, DIED, HOMES, MISADDRESSED
+from raygrid.node.frame_tables import Frame, frame_limits
 from raygrid.node.hierarchy import DEPTH
 from raygrid.node.holdings import build_surfaces
 from raygrid.node.lattice import Space, make_cell
-from raygrid.node.outputs import HEAD, make_outputs
+from raygrid.node.messages import HEAD
+from raygrid.node.outputs import make_outputs
 from raygrid.node.overlap import meets
 from raygrid.node.packets import SIZE
 from raygrid.node.pixels import make_pixels, send_pixels
 from raygrid.node.step import step
 from raygrid.node.surfaces import SurfaceSet, merge
-from raygrid.node.tables import BORN, COUNTS, DIED, HOMES, MISADDRESSED, Frame, frame_limits
 from raygrid.node.walk import HOST, OPPOSITE, OUTPUTS, SELF, SELF_RAYS, leaves_array
 
 Bytes = NDArray[np.uint8]

@@ -10,7 +10,7 @@ import numpy as np
 from support_surfaces import F64
 
 from raygrid.node.frame import DIRECTIONAL, LIGHT, MATERIAL, POINT
-from raygrid.node.tables import Frame, light_table, material_table
+from raygrid.node.frame_tables import Frame, light_table, material_table
 
 Vector = Sequence[float] | F64
 

@@ -8,16 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 from support_space import even_space
 
-from raygrid.node import tables
 from raygrid.node.camera import entry, eye_ray, home, image_point
 from raygrid.node.compiled import kernel, part
+from raygrid.node.counters import COUNTS
+from raygrid.node.frame_tables import Frame
 from raygrid.node.hierarchy import DEPTH
 from raygrid.node.holdings import build_surfaces
 from raygrid.node.intersect import MISS, cone, in_polygon, plane, sphere, triangle
 from raygrid.node.lattice import Space, make_cell
 from raygrid.node.packets import SIZE, pack_weight, put_ray
 from raygrid.node.surfaces import SurfaceSet
-from raygrid.node.tables import KIND_SHIFT, SLOT_MASK, Frame, Surfaces
+from raygrid.node.tables import KIND_SHIFT, SLOT_MASK, Surfaces
 from raygrid.node.traverse import blocked, closest
 from raygrid.node.walk import inverse
 
@@ -90,7 +91,7 @@ def meet_each(surfaces: Surfaces, ids: NDArray[np.integer], origins: F64, direct
 def closest_each(surfaces: Surfaces, origins: F64, directions: F64, lowers: F64, uppers: F64) -> tuple[F64, F64]:
     """(by the hierarchy, over all surfaces one by one): rows of t, id or -1, and 1 if anything was hit."""
     walked, brute = np.empty((len(origins), 3)), np.empty((len(origins), 3))
-    stack, counts = np.zeros(DEPTH, np.int64), np.zeros(tables.COUNTS, np.int64)
+    stack, counts = np.zeros(DEPTH, np.int64), np.zeros(COUNTS, np.int64)
     _closest_each(surfaces, stack, origins, directions, lowers, uppers, counts, walked, brute)
     return walked, brute
 

@@ -6,8 +6,7 @@ import numpy as np
 from hypothesis import strategies as st
 from support_surfaces import batch, random_rows
 
-from raygrid.node.messages import HEADER, MessageKind, pack_surfaces, seal
-from raygrid.node.outputs import HEAD
+from raygrid.node.messages import HEAD, HEADER, MessageKind, pack_surfaces, seal
 from raygrid.node.surfaces import Batch, Kind
 
 

@@ -15,12 +15,12 @@ from support_space import Index
 from support_surfaces import F64, batch
 
 from raygrid.node import packets
+from raygrid.node.frame_tables import Frame
 from raygrid.node.lattice import HALF, nearest
-from raygrid.node.outputs import HEAD
+from raygrid.node.messages import HEAD
 from raygrid.node.packets import SIZE, Packet, octahedral, pack_weight
 from raygrid.node.step import step
 from raygrid.node.surfaces import Kind, merge
-from raygrid.node.tables import Frame
 from raygrid.node.walk import OUTPUTS, SELF
 
 Vector = Sequence[float] | F64

@@ -20,10 +20,10 @@ from support_surfaces import (
 )
 
 from raygrid.node import packets
-from raygrid.node.lattice import HALF, Space, make_space
-from raygrid.node.packets import HALF_DIRECTION, LATTICE
+from raygrid.node.frame_tables import Frame
+from raygrid.node.lattice import HALF, LATTICE, Space, make_space
+from raygrid.node.packets import HALF_DIRECTION
 from raygrid.node.surfaces import Batch, Kind, SurfaceSet
-from raygrid.node.tables import Frame
 
 Step = tuple[float, float, float]
 SHAPES = ["1x1x1", "2x2x2", "4x3x1", "3x3x3", "5x4x2", "8x8x8", "uneven 4x4x4"]

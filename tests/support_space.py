@@ -8,8 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from hypothesis import strategies as st
 
-from raygrid.node.lattice import HALF, THINNEST_CELL, Cell, Space, make_cell, make_space
-from raygrid.node.packets import LATTICE
+from raygrid.node.lattice import HALF, LATTICE, THINNEST_CELL, Cell, Space, make_cell, make_space
 
 Index = tuple[int, int, int]
 EVEN_STEP = (2.0**-24, 2.0**-24, 2.0**-24)  # a cube of half edge 1/2; powers of two keep sums of steps exact

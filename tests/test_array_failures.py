@@ -26,8 +26,7 @@ from support_space import EVEN_STEP
 
 from raygrid.emulator.memory_array import MemoryArray
 from raygrid.node.errors import ArrayError, ProtocolError, Stuck
-from raygrid.node.messages import HEADER, MessageKind
-from raygrid.node.outputs import HEAD
+from raygrid.node.messages import HEAD, HEADER, MessageKind
 from raygrid.node.packets import FAULTS, SIZE
 from raygrid.node.tally import SUMS
 from raygrid.node.turn import IDLE

@@ -31,7 +31,7 @@ from support_scenes import SHAPES, Scene, mixed_scene
 from support_space import EVEN_STEP, UNEVEN_STEP
 
 from raygrid.node import tracer as tracer_module
-from raygrid.node.tables import BORN, DIED
+from raygrid.node.counters import BORN, DIED
 
 SIZE = (24, 18)
 QUICK_SHAPES = [pytest.param(name, marks=[pytest.mark.slow] if name == "8x8x8" else []) for name in SHAPES]

@@ -23,10 +23,10 @@ from raygrid.host.picture import Picture
 from raygrid.host.render import render_job
 from raygrid.node.errors import ArrayError
 from raygrid.node.flood import corners
+from raygrid.node.frame_tables import MATERIAL_COLUMNS
 from raygrid.node.lattice import make_cell
 from raygrid.node.overlap import meets
 from raygrid.node.surfaces import MAX_MATERIALS, SURFACE_KINDS, Kind
-from raygrid.node.tables import MATERIAL_COLUMNS
 
 SCENES = Path(__file__).parents[1] / "scenes"
 EIGHT = (2, 2, 2)

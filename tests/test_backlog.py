@@ -6,7 +6,7 @@ from support_packets import pixel_bytes, ray_bytes, return_bytes, rows, shadow_b
 
 from raygrid.node import packets
 from raygrid.node.backlog import CLASSES, MOST, RAYS, SHADOWS, TRAVELLERS, Backlog
-from raygrid.node.outputs import HEAD
+from raygrid.node.messages import HEAD
 from raygrid.node.packets import SIZE, Limits
 
 LIMITS = Limits(samples=400, pixels=100, lights=2, depth=5, shape=(4, 3, 2))

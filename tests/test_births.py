@@ -13,10 +13,11 @@ from support_space import UNEVEN_STEP, Index, even_space, indices, uneven_space
 from raygrid.node import packets
 from raygrid.node.births import DONE, bear_primaries, new_cursor
 from raygrid.node.camera import TRIES
+from raygrid.node.counters import BORN, COUNTS
 from raygrid.node.eyes import make_seen
+from raygrid.node.frame_tables import Frame
 from raygrid.node.lattice import HALF, LONGEST_STEP, SLOW, Space, coordinate, make_cell
 from raygrid.node.pixels import Pixels, make_pixels, slot
-from raygrid.node.tables import BORN, COUNTS, Frame
 
 WHITE = packets.pack_weight(1.0, 1.0, 1.0)
 SPACES = {

@@ -12,7 +12,7 @@ from support_packets import pixel_bytes, ray_bytes, return_bytes, shadow_bytes
 from raygrid.emulator import collected
 from raygrid.emulator.collected import Collected
 from raygrid.node.errors import PacketError
-from raygrid.node.outputs import HEAD
+from raygrid.node.messages import HEAD
 from raygrid.node.packets import MAX_PIXEL_SAMPLES, MAX_PIXEL_SUM, PRIMARY, decode
 
 PIXELS = 7

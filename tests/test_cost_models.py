@@ -11,8 +11,8 @@ import pytest
 from support_timed import folder
 
 from raygrid.host.cost_models import LEVELS, built_in, load_cost_model
+from raygrid.node.counters import BOXES, SENT, TESTS, WALKS
 from raygrid.node.errors import CostError
-from raygrid.node.tables import BOXES, SENT, TESTS, WALKS
 
 ROOT = Path(__file__).parents[1]
 

@@ -21,8 +21,8 @@ from raygrid.node.eyes import (
     work_out_primaries,
     work_out_returns,
 )
-from raygrid.node.lattice import make_cell, make_space
-from raygrid.node.packets import LATTICE, PRIMARY, SIZE, octahedral, pack_weight, put_ray
+from raygrid.node.lattice import LATTICE, make_cell, make_space
+from raygrid.node.packets import PRIMARY, SIZE, octahedral, pack_weight, put_ray
 from raygrid.node.walk import NO_PORT, towards_start
 
 STEPS = (2.0**-24, 1.5 * 2.0**-25, 2.0**-26)

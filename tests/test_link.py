@@ -23,8 +23,7 @@ from support_messages import message
 from raygrid.node.errors import ProtocolError
 from raygrid.node.link import CREDIT as LINK_CREDIT
 from raygrid.node.link import DATA_DONE, DATA_DONE_TOLD, DATA_SENT, RECEIVED, SENT, Link, State
-from raygrid.node.messages import VERSION, WINDOW, MessageKind, pack_order, read_header, read_order
-from raygrid.node.outputs import HEAD
+from raygrid.node.messages import HEAD, VERSION, WINDOW, MessageKind, pack_order, read_header, read_order
 from raygrid.node.packets import SIZE
 
 __all__ = ["wire"]

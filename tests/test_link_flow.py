@@ -26,8 +26,7 @@ from support_messages import message
 from raygrid.node.errors import ProtocolError
 from raygrid.node.link import State
 from raygrid.node.memory_pair import MemoryPair, memory_pair
-from raygrid.node.messages import MAX_MESSAGE, WINDOW, MessageKind, read_order
-from raygrid.node.outputs import HEAD
+from raygrid.node.messages import HEAD, MAX_MESSAGE, WINDOW, MessageKind, read_order
 from raygrid.node.packets import SIZE
 from raygrid.node.pair import Pair
 

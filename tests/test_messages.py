@@ -13,6 +13,7 @@ from support_messages import message, orders, random_batch, same_batch, surfaces
 from raygrid.node.errors import ProtocolError
 from raygrid.node.maps import DEEPEST, MOST_ITEMS
 from raygrid.node.messages import (
+    HEAD,
     HEADER,
     MAX_MESSAGE,
     SUMMED,
@@ -27,7 +28,6 @@ from raygrid.node.messages import (
     read_surfaces,
     seal,
 )
-from raygrid.node.outputs import HEAD
 from raygrid.node.packets import SIZE
 from raygrid.node.surfaces import Batch, Kind
 

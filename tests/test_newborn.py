@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from raygrid.node.lattice import make_cell, make_space
+from raygrid.node.lattice import LATTICE, make_cell, make_space
 from raygrid.node.newborn import (
     BROOD,
     EIGHT,
@@ -18,17 +18,7 @@ from raygrid.node.newborn import (
     starts_behind,
     work_out,
 )
-from raygrid.node.packets import (
-    LARGEST_BINARY32,
-    LATTICE,
-    REFLECTED,
-    SHADOW,
-    SIZE,
-    octahedral,
-    pack_weight,
-    put_ray,
-    put_shadow,
-)
+from raygrid.node.packets import LARGEST_BINARY32, REFLECTED, SHADOW, SIZE, octahedral, pack_weight, put_ray, put_shadow
 from raygrid.node.walk import NO_PORT, towards_start
 
 STEPS = (2.0**-24, 1.5 * 2.0**-25, 2.0**-26)

@@ -13,11 +13,12 @@ from support_messages import message, values
 from support_space import spaces, uneven_space
 
 from raygrid.node.errors import ProtocolError
+from raygrid.node.frame_tables import LIGHT_COLUMNS, MATERIAL_COLUMNS, Frame
+from raygrid.node.lattice import LATTICE
 from raygrid.node.messages import MAX_MESSAGE, MessageKind, pack_order, read_order
 from raygrid.node.orders import frame_order, read_frame, read_space, space_order
-from raygrid.node.packets import LATTICE, MAX_LIGHTS
+from raygrid.node.packets import MAX_LIGHTS
 from raygrid.node.surfaces import MAX_MATERIALS
-from raygrid.node.tables import LIGHT_COLUMNS, MATERIAL_COLUMNS, Frame
 
 SPACE = space_order(uneven_space())
 

@@ -14,10 +14,10 @@ from support_frames import make_frame
 from support_space import UNEVEN_STEP, even_space, indices
 
 from raygrid.node import packets
+from raygrid.node.counters import BORN, COUNTS
 from raygrid.node.lattice import make_cell
 from raygrid.node.packets import MAX_PIXEL_SAMPLES, MAX_PIXEL_SUM, SIZE
 from raygrid.node.pixels import MAX_INTENSITY, UNIT, Pixels, fixed_point, make_pixels, send_pixels, slot
-from raygrid.node.tables import BORN, COUNTS
 
 WIDTH = 40
 

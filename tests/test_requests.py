@@ -12,7 +12,7 @@ from raygrid.host.frames import Turntable
 from raygrid.host.job import Settings
 from raygrid.host.program_file import read_program
 from raygrid.host.requests import Submit, read_job, read_request
-from raygrid.host.scene_store import Wanted
+from raygrid.host.scene_store import Wanted, wanted_by
 from raygrid.host.wire import pack, unpack
 from raygrid.node.errors import ProtocolError
 
@@ -23,13 +23,13 @@ def test_a_job_has_the_settings_that_were_sent():
     settings = {"size": [64, 48], "samples": 4, "depth": 3, "min_weight": 0.5, "highlights": True, "split": "uniform"}
     request = read_request(unpack(pack(JOB | {"settings": settings})[4:]))
     assert isinstance(request, Submit)
-    assert request.wanted() == Wanted("/s.nff", Settings((64, 48), 4, 3, 0.5, True, "uniform"))
+    assert wanted_by(request) == Wanted("/s.nff", Settings((64, 48), 4, 3, 0.5, True, "uniform"))
 
 
 def test_a_job_has_the_turntable_and_the_program_that_were_sent():
     marble = str(SCENES / "programs" / "marble.py")
     more = {"turntable": {"frames": 9, "scene": True}, "program": marble, "frames": [2, 2]}
-    wanted = read_job(read_request(unpack(pack(JOB | more)[4:])).model_dump(mode="json")).wanted()
+    wanted = wanted_by(read_job(read_request(unpack(pack(JOB | more)[4:])).model_dump(mode="json")))
     assert wanted == Wanted("/s.nff", Settings(program=read_program(marble)), Turntable(9, True), (2, 2))
 
 

@@ -29,8 +29,7 @@ from raygrid.node.lattice import HALF
 from raygrid.node.link import CREDIT, DATA_DONE, DATA_DONE_TOLD, DATA_SENT, RECEIVED, REGULAR, SENT, SOCKET, Link, State
 from raygrid.node.main import open_links
 from raygrid.node.memory_pair import memory_pair
-from raygrid.node.messages import WINDOW, MessageKind, check_packets
-from raygrid.node.outputs import HEAD
+from raygrid.node.messages import HEAD, WINDOW, MessageKind, check_packets
 from raygrid.node.packets import REFLECTED, SIZE
 from raygrid.node.pair import Pair
 from raygrid.node.processor import Processor

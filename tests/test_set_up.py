@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from raygrid.emulator.warm import tiny_frame as one_frame
 from raygrid.node import ahead
 from raygrid.node.ahead import AHEAD, KNOWN, make_ahead, read_ahead, set_up_ahead
-from raygrid.node.lattice import make_cell, make_space
-from raygrid.node.packets import HALF_DIRECTION, LATTICE, PRIMARY, SIZE, put_ray, put_shadow
+from raygrid.node.frame_tables import LIGHT_COLUMNS, LIGHT_KIND, PLACE
+from raygrid.node.lattice import LATTICE, make_cell, make_space
+from raygrid.node.packets import HALF_DIRECTION, PRIMARY, SIZE, put_ray, put_shadow
 from raygrid.node.step import _set_up
-from raygrid.node.tables import LIGHT_COLUMNS, LIGHT_KIND, PLACE
 
 STEPS = (2.0**-24, 1.5 * 2.0**-25, 2.0**-26)
 PLANES = [[0, LATTICE // 3, LATTICE], [0, 777, 5_000_000, LATTICE], [0, LATTICE]]

@@ -8,14 +8,15 @@ from test_set_up import CELLS, SPACE, _frame, codes, coordinates, places, ports
 
 from raygrid.node import sieve
 from raygrid.node.ahead import AHEAD, ASTRAY, ROOM, boxes_of, column, make_ahead, read_ahead, set_up_ahead
+from raygrid.node.counters import COUNTS
 from raygrid.node.hierarchy import NOWHERE, WORDS
 from raygrid.node.holdings import empty_surfaces
 from raygrid.node.lanes import CHILDREN, WIDE
-from raygrid.node.lattice import T_MIN
-from raygrid.node.outputs import HEAD, clear, hand_on, hand_on_all, make_outputs
-from raygrid.node.packets import LATTICE, PRIMARY, SIZE, put_ray, put_shadow
+from raygrid.node.lattice import LATTICE, T_MIN
+from raygrid.node.messages import HEAD
+from raygrid.node.outputs import clear, hand_on, hand_on_all, make_outputs
+from raygrid.node.packets import PRIMARY, SIZE, put_ray, put_shadow
 from raygrid.node.sieve import ENDING, PASSING, SEARCHED, box_of_all, ends_of_array, sift, unfinished
-from raygrid.node.tables import COUNTS
 from raygrid.node.traverse import FAREST, for_boxes, open_root
 from raygrid.node.walk import NO_PORT, leaves_array, towards_cell
 

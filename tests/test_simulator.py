@@ -28,11 +28,12 @@ from raygrid.host.command_simulate import in_words, summary
 from raygrid.host.cost_models import load_cost_model
 from raygrid.host.render import render_job
 from raygrid.host.simulate_stats import make_stats
+from raygrid.node.counters import BORN, BOXES, COUNTS, HITS, SENT, TESTS, WALKS
 from raygrid.node.errors import TooLarge
 from raygrid.node.packets import PRIMARY, RETURN
+from raygrid.node.stamped import Prices
 from raygrid.node.surfaces import Kind, SurfaceSet
-from raygrid.node.tables import BORN, BOXES, COUNTS, HITS, SENT, TESTS, WALKS
-from raygrid.node.timed import BUSY, PACKETS_SENT, WAITED, Prices
+from raygrid.node.timed import BUSY, PACKETS_SENT, WAITED
 from raygrid.node.walk import PORTS
 
 pytestmark = pytest.mark.usefixtures("quick_records")

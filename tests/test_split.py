@@ -21,8 +21,7 @@ from raygrid.host.job import Job, Settings, make_job
 from raygrid.host.load import load_scene
 from raygrid.host.render import render_job
 from raygrid.node.errors import ArrayError
-from raygrid.node.lattice import THINNEST_CELL, Space, make_space
-from raygrid.node.packets import LATTICE
+from raygrid.node.lattice import LATTICE, THINNEST_CELL, Space, make_space
 from raygrid.node.surfaces import Batch, Kind, SurfaceSet, merge
 
 WALKS = Weights(walk=1.0, box=0.0, hit=0.0, primary=0.0, hop=0.0, returned=0.0, taken_in=0.0, held=0.0)

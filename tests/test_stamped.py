@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from raygrid.host.cost_models import load_cost_model
 from raygrid.node.errors import ProtocolError
-from raygrid.node.outputs import HEAD
+from raygrid.node.messages import HEAD
 from raygrid.node.packets import SIZE
 from raygrid.node.stamped import (
     ASK,

@@ -13,11 +13,11 @@ from support_scenes import EVEN_STEP, SHAPES, Rays, Scene, birth_cells, mixed_sc
 from support_surfaces import F64
 
 from raygrid.node import packets
+from raygrid.node.counters import BORN, BOXES, DIED, HITS, SENT, TESTS, WALKS
 from raygrid.node.lattice import HALF
-from raygrid.node.outputs import HEAD
+from raygrid.node.messages import HEAD
 from raygrid.node.packets import SIZE
 from raygrid.node.surfaces import Kind
-from raygrid.node.tables import BORN, BOXES, DIED, HITS, SENT, TESTS, WALKS
 from raygrid.node.walk import HOST, SELF, SELF_RAYS
 
 STEPS = {"even": EVEN_STEP, "askew": (0.55 / HALF, 0.37 / HALF, 0.47 / HALF)}

@@ -13,10 +13,11 @@ from support_packets import pixel_bytes
 from support_surfaces import F64
 
 from raygrid.node import packets
+from raygrid.node.counters import BORN, DIED, HITS, MISADDRESSED, WALKS
+from raygrid.node.frame_tables import Frame
 from raygrid.node.lattice import HALF, LIFT, T_MIN
 from raygrid.node.packets import PRIMARY, REFLECTED, REFRACTED, RETURN, SHADOW
 from raygrid.node.surfaces import Kind
-from raygrid.node.tables import BORN, DIED, HITS, MISADDRESSED, WALKS, Frame
 from raygrid.node.walk import HOST, SELF, SELF_RAYS
 
 STEP = 2.0**-24

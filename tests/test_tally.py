@@ -22,16 +22,15 @@ from support_scenes import Scene, mixed_scene, space_of
 from support_space import EVEN_STEP
 
 from raygrid.node import native, tallies, tally
+from raygrid.node.counters import BORN
 from raygrid.node.errors import ProtocolError
 from raygrid.node.link import Link, State
 from raygrid.node.main import open_links
-from raygrid.node.messages import MessageKind
-from raygrid.node.outputs import HEAD
+from raygrid.node.messages import HEAD, MessageKind
 from raygrid.node.packets import PRIMARY
 from raygrid.node.pair import Pair
 from raygrid.node.processor import Processor
 from raygrid.node.rounds import FLUSH, LEAST, NAP, NAPS
-from raygrid.node.tables import BORN
 from raygrid.node.tallies import Tallies
 from raygrid.node.tally import (
     MOST_HOLD,

@@ -13,8 +13,8 @@ from support_cases import steady
 from support_space import Index, cells, even_planes, even_space, index_of, neighbour, origins, spaces, uneven_space
 
 from raygrid.node.errors import SceneError
-from raygrid.node.lattice import HALF, THINNEST_CELL, Cell, Space, cell_index, coordinate, make_space, nearest
-from raygrid.node.packets import HALF_DIRECTION, LATTICE, unit_vector
+from raygrid.node.lattice import HALF, LATTICE, THINNEST_CELL, Cell, Space, cell_index, coordinate, make_space, nearest
+from raygrid.node.packets import HALF_DIRECTION, unit_vector
 from raygrid.node.walk import (
     HUGE,
     NO_PORT,
