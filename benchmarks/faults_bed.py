@@ -15,15 +15,15 @@ from typing import Any, Self
 
 import numpy as np
 
-from raygrid.emulator import driver
-from raygrid.emulator.array import WARM_SECONDS, Array
-from raygrid.emulator.launch import Nursery
-from raygrid.host.job import Job, Settings, make_job
-from raygrid.host.load import load_scene
-from raygrid.host.picture import Picture
-from raygrid.host.program_file import read_program
-from raygrid.host.shot_jobs import ShotJobs
-from raygrid.host.steady import Fault, render_steadily
+from raygrid.emulator.driver import driver
+from raygrid.emulator.processes.array import WARM_SECONDS, Array
+from raygrid.emulator.processes.fork_server_client import Nursery
+from raygrid.host.image.picture import Picture
+from raygrid.host.render.animation_jobs import ShotJobs
+from raygrid.host.render.job import Job, Settings, make_job
+from raygrid.host.render.program_file import read_program
+from raygrid.host.render.retry import Fault, render_steadily
+from raygrid.host.scene.load import load_scene
 from raygrid.node.errors import RaygridError
 
 Shape = tuple[int, int, int]

@@ -19,7 +19,7 @@ from raygrid.node.errors import OutputError, RaygridError
 
 FRONT_END = """
 import sys
-from raygrid.host.interface import launch
+from raygrid.host.render.api import launch
 shape, scene, moment, nth, *numbers = sys.argv[1:]
 seen = 0
 def tell():

@@ -12,7 +12,7 @@ from functools import partial
 
 from faults_bed import LARGE, MOMENTS, Bed, Case, Outcome, Strike, judge, render, right
 
-from raygrid.node.messages import MessageKind
+from raygrid.node.protocol.messages import MessageKind
 
 # Descriptors: with 8 a node can wait for those that it has, but open no socket. With 3 the kernel refuses to let it
 # wait for more than 3 at once as well, and ZeroMQ gives up.

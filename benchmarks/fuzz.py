@@ -35,18 +35,18 @@ import zmq
 from faults_bed import SMALL, job, right, truth
 from faults_links import _babble, intruder
 
-from raygrid.emulator.array import Array
-from raygrid.emulator.driver import Progress
-from raygrid.host.steady import RECOVERABLE, render_steadily
+from raygrid.emulator.driver.driver import Progress
+from raygrid.emulator.processes.array import Array
+from raygrid.host.render.retry import RECOVERABLE, render_steadily
 from raygrid.node.errors import Garbled, ProtocolError
-from raygrid.node.frame_tables import frame_limits
-from raygrid.node.link import Link, State
+from raygrid.node.geometry.grid_walk import HOST
+from raygrid.node.links.link import Link, State
+from raygrid.node.links.zmq_channel import Pair
 from raygrid.node.main import open_links
-from raygrid.node.messages import CHECKSUM, SUMMED, MessageKind, pack_message
-from raygrid.node.packets import SIZE, first_fault
-from raygrid.node.pair import Pair
-from raygrid.node.processor import Processor
-from raygrid.node.walk import HOST
+from raygrid.node.protocol.frame_tables import frame_limits
+from raygrid.node.protocol.messages import CHECKSUM, SUMMED, MessageKind, pack_message
+from raygrid.node.protocol.packets import SIZE, first_fault
+from raygrid.node.runtime.processor import Processor
 
 SHAPE = (2, 2, 2)
 PLACE = (1, 1, 1)  # of the hostile node: a leaf of the tree of waves

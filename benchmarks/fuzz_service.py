@@ -25,8 +25,8 @@ import psutil
 from bench_run import RAYGRID, ROOT, run
 
 import raygrid
-from raygrid.host.service_files import SOCKET, TOKEN, find
-from raygrid.host.wire import LENGTH, LONGEST, VERSION, Splitter, pack
+from raygrid.host.client.protocol import LENGTH, LONGEST, VERSION, Splitter, pack
+from raygrid.host.client.service_files import SOCKET, TOKEN, find
 
 NAME = "bench-fuzz"
 JOB = {"do": "submit", "scene": "/none.nff", "outputs": ["/none.png"], "settings": {"size": [8, 8]}, "frames": None}

@@ -12,9 +12,9 @@ import argparse
 import json
 import time
 
-import raygrid.host.interface  # noqa: F401  (what the host imports is not what is measured here)
-from raygrid.emulator.array import Array
-from raygrid.emulator.limits import parse_shape
+import raygrid.host.render.api  # noqa: F401  (what the host imports is not what is measured here)
+from raygrid.emulator.processes.array import Array
+from raygrid.emulator.topology.limits import parse_shape
 
 LONGEST = 300.0  # seconds; a first run compiles
 

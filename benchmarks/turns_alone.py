@@ -22,13 +22,13 @@ from typing import Any
 
 import numpy as np
 
-from raygrid.emulator.memory_array import MemoryArray
-from raygrid.host.job import Job, Settings, make_job
-from raygrid.host.load import load_scene
-from raygrid.node import backlog
-from raygrid.node.counters import SENT, WALKS
-from raygrid.node.rounds import AFTER
-from raygrid.node.walk import PORTS
+from raygrid.emulator.driver.memory_array import MemoryArray
+from raygrid.host.render.job import Job, Settings, make_job
+from raygrid.host.scene.load import load_scene
+from raygrid.node.geometry.grid_walk import PORTS
+from raygrid.node.protocol.counters import SENT, WALKS
+from raygrid.node.runtime.event_loop import AFTER
+from raygrid.node.tracing import work_queues
 
 Shape = tuple[int, int, int]
 
@@ -134,7 +134,7 @@ class Loaded:
 def measure(scene: Path, shapes: list[Shape], size: tuple[int, int], runs: int) -> list[dict[str, Any]]:
     """Figures of each array."""
     sorting = Clock()
-    backlog._sort_in = sorting.of(backlog._sort_in)
+    work_queues._sort_in = sorting.of(work_queues._sort_in)
     loaded = load_scene(scene)
     arrays = [Loaded(shape, make_job(loaded, shape, Settings(size=size)), sorting) for shape in shapes]
     for _ in range(runs):

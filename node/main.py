@@ -11,16 +11,16 @@ from typing import Any
 import zmq
 
 from raygrid.node.errors import ProtocolError
-from raygrid.node.faulty import FaultPlan, Faulty, tend
-from raygrid.node.line import Line
-from raygrid.node.link import Channel, Link, State
-from raygrid.node.pair import Pair
-from raygrid.node.probe import Probe, read_rate
-from raygrid.node.processor import Processor
-from raygrid.node.reset import read_reset
-from raygrid.node.usage import keep_freed_memory
-from raygrid.node.walk import HOST, OPPOSITE
-from raygrid.node.wired import Wired
+from raygrid.node.geometry.grid_walk import HOST, OPPOSITE
+from raygrid.node.links.control_channel import Line
+from raygrid.node.links.faulty_channel import FaultPlan, Faulty, tend
+from raygrid.node.links.link import Channel, Link, State
+from raygrid.node.links.zmq_channel import Pair
+from raygrid.node.protocol.reset import read_reset
+from raygrid.node.runtime.memory_stats import keep_freed_memory
+from raygrid.node.runtime.native_link_table import Wired
+from raygrid.node.runtime.probe import Probe, read_rate
+from raygrid.node.runtime.processor import Processor
 
 PORT_NAMES = ("-x", "+x", "-y", "+y", "-z", "+z", "host")
 CHOKED_SECONDS = 0.002  # a socket without room for what a link may send is tried again after this
@@ -32,9 +32,9 @@ def run(config: dict[str, Any], life: int, line: int) -> None:
     """Be one node until the order `end`, or until the pipe `life` closes because the launcher is gone.
 
     config  index [x, y, z], shape, epoch, machine (name of the array), batch (most packets a message), and
-            links: a list of {port, endpoint, bind}; and fault, (kind, rate, seed) of `node.faulty`, if it is wanted;
+            links: a list of {port, endpoint, bind}; and fault, (kind, rate, seed) of `node.links.faulty_channel`, if it is wanted;
             and profile, whether to say where time goes
-    line    descriptor of the node's end of the line to the host (`node.line`)
+    line    descriptor of the node's end of the line to the host (`node.links.control_channel`)
 
     A reset order on the line ends an epoch, whatever its state: links, packets, surfaces and pixels are dropped, and
     the node begins the next one on new links, as if it had just been forked. A node whose link broke says so on its
@@ -113,7 +113,7 @@ def processor_class(config: dict[str, Any]) -> type[Processor]:
     """What a node is: one that keeps machine time if the array is `timed`."""
     if not config.get("timed", False):
         return Processor
-    from raygrid.node.timed_processor import TimedProcessor
+    from raygrid.node.timed.timed_processor import TimedProcessor
 
     return TimedProcessor
 
@@ -141,7 +141,7 @@ def _serve(
     processor = kind(index, shape, open_links(config, channels), config["batch"], programs=bool(config.get("programs")))
     profiled = bool(config.get("profile"))
     if profiled:
-        from raygrid.node.profile import Profile
+        from raygrid.node.runtime.profile import Profile
 
         Profile(processor)
     faults = [channel for channel in channels.values() if isinstance(channel, Faulty)]

@@ -16,13 +16,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from raygrid.host.client import Result, Service, Submitted, connect
-    from raygrid.host.interface import Machine, Picture, Scene, launch, load_scene
+    from raygrid.host.client.client import Result, Service, Submitted, connect
+    from raygrid.host.render.api import Machine, Picture, Scene, launch, load_scene
     from raygrid.node.errors import ArrayError, OutputError, RaygridError, SceneError
 
 _HOMES = {
-    "raygrid.host.client": ("Result", "Service", "Submitted", "connect"),
-    "raygrid.host.interface": ("Machine", "Picture", "Scene", "launch", "load_scene"),
+    "raygrid.host.client.client": ("Result", "Service", "Submitted", "connect"),
+    "raygrid.host.render.api": ("Machine", "Picture", "Scene", "launch", "load_scene"),
     "raygrid.node.errors": ("ArrayError", "OutputError", "RaygridError", "SceneError"),
 }
 

@@ -1,0 +1,442 @@
+"""What the host says to an array through its corners: load, trace, collect, end. No processes, no sockets.
+
+The driver owns the host's end of the corner links and a `pump`, which waits for messages (real array) or
+runs the nodes (in-memory array) and then lets the driver receive.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raygrid.emulator.driver.collector import Collected, Samples
+from raygrid.emulator.driver.increments import Held, check_moves, increment
+from raygrid.node.errors import ArrayError, Garbled, ProtocolError, SceneError, Stuck
+from raygrid.node.geometry.lattice import Space
+from raygrid.node.geometry.rigid_motion import Moves, groups_order, placed
+from raygrid.node.geometry.spanning_tree import corners
+from raygrid.node.geometry.surfaces import Batch, SurfaceSet
+from raygrid.node.links.link import Link, State
+from raygrid.node.programs.programs import Program, program_order
+from raygrid.node.protocol.commands import frame_order, space_order
+from raygrid.node.protocol.counters import BORN, DIED
+from raygrid.node.protocol.frame_tables import Frame
+from raygrid.node.protocol.messages import MessageKind, check_packets, pack_surfaces, read_order
+from raygrid.node.protocol.packets import KINDS, PIXEL, PRIMARY
+from raygrid.node.runtime.increments import pieces
+from raygrid.node.runtime.reduction import (
+    ALLOWED,
+    COLLECTING,
+    DATA_DONE,
+    DATA_SENT,
+    HANDED_ON,
+    HOMES_LEFT,
+    RECEIVED,
+    REFUSED,
+    WAITING,
+    pack_tally,
+    read_tallied,
+)
+from raygrid.node.runtime.report import read_sums
+
+CHUNK_BYTES = 1 << 16  # surfaces in a message
+BUDGET = 1 << 20  # packets in flight below which primaries are admitted, and so the most primaries alive (`bounds`)
+PATIENCE = 30.0  # seconds without any progress after which the array is taken to hang
+HOLD = 0.02  # seconds for which a busy node may hold a wave, and a millisecond more for every node
+# seconds that a node naps for more packets: so long for every node that a processor of this computer carries, once more
+# for so many packets under way; at most
+LINGER, PACKETS_A_LINGER, LONGEST_LINGER = 0.0002, 1 << 19, 0.016
+GATHER = 0.25  # part of the mean share of packets that it waits for
+EAGER_FLUSH, CROWDED_FLUSH = 256, 4096  # packets for which a node with work sends an output
+PROGRAM_SECONDS = 600.0  # one process compiles a program, which takes half a minute on an idle computer
+LEAST_SHARE = 256  # packets a node below which nobody waits
+
+
+@dataclass(frozen=True)
+class Progress:
+    """State of a pass as the last wave found it. born, died: by packet kind."""
+
+    born: tuple[int, ...]
+    died: tuple[int, ...]
+    homes_left: int
+
+    @property
+    def in_flight(self) -> int:
+        """Packets born and not yet dead."""
+        return sum(self.born) - sum(self.died)
+
+    @property
+    def primaries(self) -> int:
+        """Samples admitted so far."""
+        return self.born[PRIMARY]
+
+
+class Driver:
+    """Drives one array. `links`: corner number -> the host's end of the link to that corner's node."""
+
+    def __init__(
+        self,
+        shape: tuple[int, int, int],
+        links: dict[int, Link],
+        pump: Callable[[float], None],
+        patience: float = PATIENCE,
+        why_silent: Callable[[], str] = lambda: "",
+    ) -> None:
+        self._why_silent = why_silent
+        self._answered = True  # whether the last wave has come back
+        self._quiet = True  # whether nothing of an unfinished pass or load can be under way
+        self._settling = False
+        self.shape, self.links, self._pump, self.patience = shape, links, pump, patience
+        self.nodes = shape[0] * shape[1] * shape[2]
+        self._processors = len(os.sched_getaffinity(0))
+        self._wave_number = 0
+        self._answer: dict[str, Any] | None = None
+        self._collected: Collected | None = None  # what comes of the pass that is being collected
+        self.held: Held | None = (
+            None  # the frame of a shot that the nodes hold; None: it is not known, or does not move
+        )
+        self.program: Program | None = None  # what the nodes run
+        self.waves = 0
+        self.most_in_flight = 0
+
+    # --- messages ------------------------------------------------------------------------------------
+
+    def receive(self, corner: int) -> None:
+        """Take in what the link to a corner has. Raises ProtocolError."""
+        link = self.links[corner]
+        while (arrival := link.receive()) is not None:
+            if arrival.kind == MessageKind.PACKETS:
+                check_packets(arrival.message, arrival.items)
+                self._take_pixels(arrival.message, arrival.items)
+                link.grant()
+            elif arrival.kind == MessageKind.UP and corner == 0:
+                self._answer = read_order(arrival.message)
+            elif arrival.kind == MessageKind.TALLIED and corner == 0:
+                number, sums = read_tallied(arrival.message)
+                self._answer = {"wave": number, "sums": sums.tobytes()}
+            else:
+                raise ProtocolError(f"link {link.name}: {arrival.kind.name} came, which a node never sends to the host")
+
+    def _take_pixels(self, message: bytes, count: int) -> None:
+        if self._settling:
+            return
+        if self._collected is None:
+            raise ProtocolError(f"{count} pixel packets came, but no frame is being collected")
+        self._collected.take(message, count)
+
+    def wave(self, order: dict[str, Any]) -> dict[str, Any]:
+        """Send an order over the array and wait for the answer of all. Raises Stuck, ProtocolError, LostProcess."""
+        if not self._answered:  # the caller gave up waiting for the last one
+            self._wait(lambda: self._answer is not None, "the order before came back")
+        self._wave_number += 1
+        self.waves += 1
+        self._answer, self._answered = None, False
+        tally = pack_tally(self._wave_number, order) if order["do"] == "trace" else None
+        if tally is None:
+            self.links[0].send_order(MessageKind.DOWN, {**order, "wave": self._wave_number})
+        else:
+            self.links[0].send_words(MessageKind.TALLY, tally)
+        self._wait(lambda: self._answer is not None, f"the order {order['do']!r} came back")
+        self._answered = True
+        answer: dict[str, Any] = self._answer  # type: ignore[assignment]
+        sums = answer["sums"] = read_sums(answer).tolist()
+        if answer.get("wave") != self._wave_number:
+            raise ProtocolError(f"wave {self._wave_number} ({order['do']}) came back as another one")
+        if sums[REFUSED] and tally is not None:  # which says how often, and another wave why
+            return self.wave({"do": "loaded"})
+        if sums[REFUSED]:
+            raise Garbled(f"{sums[REFUSED]} times a node refused what came: " + "; ".join(answer["refusals"]))
+        return answer
+
+    def _wait(self, done: Callable[[], bool], what: str) -> None:
+        """Pump until a condition holds. Raises Stuck after `patience` seconds without any message."""
+        since, seen = time.monotonic(), -1
+        while not done():
+            self._pump(0.25)
+            received = sum(link.received for link in self.links.values())
+            if received != seen:
+                since, seen = time.monotonic(), received
+            elif time.monotonic() - since > self.patience:
+                why = self._why_silent()
+                raise Stuck(
+                    f"nothing came from the array for {self.patience:g} seconds while waiting until {what}"
+                    + (f"; {why}" if why else "")
+                )
+
+    def settle(self, patience: float) -> None:
+        """Let the nodes drop what a pass or load has left under way that was given up.
+
+        patience  seconds without any message after which they are taken to hang
+        Raises Stuck, and what goes wrong besides; an array that is reset then has nothing under way either.
+        """
+        before, self.patience = self.patience, min(self.patience, patience)
+        try:
+            if not self._answered:
+                self._wait(lambda: self._answer is not None, "the order before came back")
+                self._answered = True
+            self._settle()
+        finally:
+            self.patience = before
+
+    def _settle(self) -> None:
+        """Drop what an unfinished pass or load has left under way, so that nothing of it comes into the next one.
+
+        Nodes that are halted send no packets or surfaces. So when all that were sent have been received, as told by
+        a wave that began after all nodes were halted, none is under way.
+        """
+        if self._quiet:
+            return
+        self._settling = True
+        try:
+            self.wave({"do": "halt"})
+            since = time.monotonic()
+            while True:
+                sums = self.wave({"do": "halt"})["sums"]
+                sent = sums[DATA_SENT] + sum(link.data_sent for link in self.links.values())
+                done = sums[DATA_DONE] + sum(link.data_done for link in self.links.values())
+                if sent == done:
+                    break
+                if time.monotonic() - since > self.patience:
+                    raise Stuck(f"of {sent} messages with packets or surfaces {done} were received")
+        finally:
+            self._settling = False
+        self._quiet = True
+
+    # --- loading -------------------------------------------------------------------------------------
+
+    def ready(self) -> None:
+        """Wait until every link of every node is up."""
+        self.wave({"do": "ready"})
+
+    def load_program(self, program: Program | None) -> None:
+        """Let all nodes compile and try a program, and use it if all are content; None: the step without one.
+
+        Surfaces must be loaded anew afterwards. Raises ArrayError with what the nodes say if one is not; then all use
+        what they used before.
+        """
+        self.held = None
+        self._settle()
+        self._quiet = False
+        patience, self.patience = self.patience, max(self.patience, PROGRAM_SECONDS)
+        try:
+            self.wave(program_order(program))
+            self.wave({"do": "use"})
+        except Garbled as error:
+            self._settle()  # so that nodes forget what they refused
+            raise ArrayError(f"a program was refused: {error}") from None
+        finally:
+            self.patience = patience
+        self.program = program
+
+    def load(self, space: Space, surfaces: SurfaceSet, moves: Moves | None = None) -> None:
+        """Deal surfaces (machine coordinates) over the corners, and wait until every node has built its tables.
+
+        `moves`: of some surfaces, which then are given at rest, the groups and where these are. Raises SceneError for
+        motions that are not finite, or by which a surface leaves the world box.
+        """
+        self.held = None
+        if moves is not None:
+            check_moves(space, surfaces, moves)
+        self._settle()
+        self._quiet = False
+        self.wave(space_order(space))
+        if moves is not None and moves.groups.many:
+            self.wave(groups_order(moves))
+        dealt = 0
+        for corner, batch in _deal(surfaces, corners(self.shape), moves):
+            link = self.links[corner]
+            link.send_data(MessageKind.SURFACES, len(batch), pack_surfaces(corner, batch))
+            dealt += len(batch)
+            if link.waiting > 4:
+                self._wait(lambda link=link: link.waiting <= 4, "a corner takes more surfaces")  # type: ignore[misc]
+        self._wait(lambda: all(link.waiting == 0 for link in self.links.values()), "the corners take all surfaces")
+        self._wait_arrived(dealt, -1)
+        self.wave({"do": "build"})
+        self._quiet = True
+        self.held = None if moves is None else Held(space, surfaces, moves, dealt)
+
+    def move(self, moves: Moves) -> bool:
+        """Bring the surfaces of the last load to where `moves` has them, by telling nodes only what has changed.
+
+        Returns whether that was more than nothing. Raises SceneError as `load` does, and then the nodes hold what they
+        held; ArrayError without a load of the same groups before.
+        """
+        held, self.held = self.held, None
+        if held is None or held.moves.groups is not moves.groups:
+            raise ArrayError("an increment came without a load of the same groups before it")
+        try:
+            order = increment(held, moves)
+        except SceneError:
+            self.held = held
+            raise
+        if order is not None:
+            self._settle()
+            self._quiet = False
+            self.wave(order)
+            self._wait_arrived(held.dealt, self.wave({"do": "hand"})["sums"][RECEIVED])
+            self.wave({"do": "build"})
+            self._quiet = True
+        self.held = held._replace(moves=moves)
+        return order is not None
+
+    def _wait_arrived(self, dealt: int, received: int) -> None:
+        """Wait until all descriptions that were sent have come; `received`: the count of the wave before, -1: none.
+
+        What a wave counts is no picture of one moment, so two are compared. What the first found received had been, and
+        what the second found sent was all, at the moment between them: if these are the same, none was under way.
+        """
+        while True:
+            sums = self.wave({"do": "loaded"})["sums"]
+            if received == dealt + sums[HANDED_ON]:
+                return
+            received = sums[RECEIVED]
+
+    # --- tracing -------------------------------------------------------------------------------------
+
+    def trace(
+        self,
+        frame: Frame,
+        budget: int = BUDGET,
+        progress: Callable[[Progress], None] | None = None,
+        prices: dict[str, Any] | None = None,
+    ) -> Progress:
+        """Trace a pass to completion: two successive waves with equal sums, born = died, nothing left to admit.
+
+        prices   of machine time (`node.protocol.timestamps.prices_order`), for an array that keeps it
+        """
+        self._settle()
+        self._quiet = False
+        answer = self.wave({**frame_order(frame), **(prices or {})})
+        hold = HOLD + 0.001 * self.nodes
+        before: Progress | None = None
+        moved = time.monotonic()
+        self.most_in_flight = 0
+        while True:
+            now = _progress(answer["sums"])
+            self.most_in_flight = max(self.most_in_flight, now.in_flight)
+            if progress is not None:
+                progress(now)
+            if now != before:
+                moved = time.monotonic()
+            elif now.homes_left == 0 and now.in_flight == 0:
+                self._quiet = True
+                return now
+            elif time.monotonic() - moved > self.patience:
+                raise Stuck(self._why_stuck(now))
+            quota = _quota(budget, now, before, answer["sums"][ALLOWED])
+            before = now
+            answer = self.wave({"do": "trace", "quota": quota, "hold": hold, **self._gathering(now)})
+
+    def _gathering(self, now: Progress) -> dict[str, Any]:
+        """How many packets a node should gather before it takes a turn, and how long it may wait for them.
+
+        With more nodes than processors of this computer, a node that wakes for every message does little but wake.
+        A node waits for a part of the mean share, so some node always has enough; the tail of a pass waits for nothing.
+        Fewer and larger messages cost less, and the more there is to do, the less it matters when they come.
+        """
+        share = now.in_flight // self.nodes
+        if self.nodes <= self._processors or share < LEAST_SHARE:
+            return {"gather": 0, "linger": 0.0, "flush": EAGER_FLUSH}
+        linger = LINGER * self.nodes / self._processors * (1.0 + now.in_flight / PACKETS_A_LINGER)
+        return {
+            "gather": int(share * GATHER),
+            "linger": min(LONGEST_LINGER, linger),
+            "flush": CROWDED_FLUSH,
+        }
+
+    def _why_stuck(self, now: Progress) -> str:
+        waiting = [
+            f"{','.join(map(str, node['index']))} holds {node['waiting']}" for node in self.report() if node["waiting"]
+        ]
+        return (
+            f"no counter moved for {self.patience:g} seconds with {now.in_flight} packets in flight and "
+            f"{now.homes_left} homes with samples left; " + ("; ".join(waiting[:8]) or "no node holds a packet")
+        )
+
+    def collect(self, pixels: int, into: Collected | None = None) -> tuple[NDArray[np.int64], Samples]:
+        """(sums (pixels, 3) in fixed point, samples (pixels,)) of the pass, from the homes by way of the corners.
+
+        into  where they are added, of as many pixels; None: a new one, for as many samples as a uint16 counts
+        """
+        self._quiet = False
+        self._collected = collected = into or Collected(pixels)
+        order: dict[str, Any] = {"do": "collect"}
+        since = time.monotonic()
+        while True:
+            sums = self.wave({**order, "hold": HOLD + 0.001 * self.nodes})["sums"]
+            born, died = sums[BORN + PIXEL], sums[DIED + PIXEL]
+            if sums[COLLECTING] == 0 and sums[WAITING] == 0 and born == died:
+                break
+            if time.monotonic() - since > self.patience + pixels / 1e4:
+                raise Stuck(f"{born} pixel packets were born and {died} reached a corner")
+            order = {"do": "trace", "quota": 0, "flush": EAGER_FLUSH}
+        self._wait(lambda: collected.received >= born, "all pixel packets are here")
+        if collected.received != born:
+            raise Garbled(f"{collected.received} pixel packets came, {born} were born")
+        self._collected = None
+        self._quiet = True
+        return collected.sums, collected.samples
+
+    # --- other ---------------------------------------------------------------------------------------
+
+    def report(self) -> list[dict[str, Any]]:
+        """The record of every node (`node.runtime.processor.Processor.record`), in order of their places."""
+        return sorted(self.wave({"do": "report"})["nodes"], key=lambda node: node["index"][::-1])
+
+    def end(self) -> None:
+        """Tell every node to end, and close the corner links."""
+        self.wave({"do": "end"})
+        for link in self.links.values():
+            link.close()
+        self._wait(lambda: all(link.state == State.CLOSED for link in self.links.values()), "the corners say goodbye")
+
+
+def _progress(sums: list[int]) -> Progress:
+    return Progress(
+        tuple(sums[BORN : BORN + KINDS]),
+        tuple(sums[DIED : DIED + KINDS]),
+        sums[HOMES_LEFT],
+    )
+
+
+def _quota(budget: int, now: Progress, before: Progress | None, allowed: int) -> int:
+    """How many primaries each home may bear next, if it may not bear more than that already.
+
+    What a wave counts is no picture of one moment: a packet may be counted dead where it died and not yet born where
+    it was born. But every death of the wave before last was counted before any birth of the last one, so births now
+    less deaths before are at least the packets in flight between the two waves, and each primary whose tree of rays
+    is still alive is one of them or has a descendant there. With the primaries that homes may still bear, that is
+    all that can become alive without a further order; what is left of the budget is shared out. So the primaries
+    whose trees are alive are never more than the budget, or than the homes if there are more of these: where nothing
+    is in flight each home may bear one.
+    """
+    in_flight = sum(now.born) - (sum(before.died) if before is not None else 0)
+    if now.homes_left == 0:
+        return 0
+    if in_flight == 0 and allowed == 0:
+        return max(1, budget // now.homes_left)
+    return max(0, budget - in_flight - allowed) // now.homes_left
+
+
+def _deal(
+    surfaces: SurfaceSet, places: dict[int, tuple[int, int, int]], moves: Moves | None
+) -> Iterator[tuple[int, Batch]]:
+    """Each surface to the corner nearest to its middle, in messages of about CHUNK_BYTES, corners in turn."""
+    queues: dict[int, list[Batch]] = {corner: [] for corner in places}
+    several = [any(corner >> axis & 1 for corner in places) for axis in range(3)]
+    for batch in surfaces:
+        middles = placed(batch, moves).bounds().mean(axis=1)
+        corner_of = sum(((middles[:, axis] >= 0.0) & several[axis]).astype(np.int64) << axis for axis in range(3))
+        for corner in places:
+            rows = np.flatnonzero(corner_of == corner)
+            queues[corner].extend(pieces(batch.select(rows), CHUNK_BYTES))
+    while any(queues.values()):
+        for corner, queue in queues.items():
+            if queue:
+                yield corner, queue.pop(0)

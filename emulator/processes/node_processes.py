@@ -1,0 +1,140 @@
+"""The processes of one array: forked, heard, reset, and forked anew where a reset does not reach them."""
+
+from __future__ import annotations
+
+import select
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from raygrid.emulator.processes.control_channels import Lines, Words
+from raygrid.emulator.processes.fork_server import LAST_WAIT
+from raygrid.emulator.processes.fork_server_client import LOOK_SECONDS, Ended, Nursery
+from raygrid.emulator.topology.socket_directory import STATES, Index, process_state
+from raygrid.emulator.topology.wiring import Config, reset_order
+from raygrid.node.errors import LostProcess
+
+# A node looks at its line between two calls of a kernel. One that is in a long call (tables of a million surfaces take
+# seconds) or hangs answers too late, and is killed and forked anew: that takes some 10 ms, and what it was working on
+# is dropped by a reset in any case. So waiting longer would gain nothing.
+RESET_SECONDS, RESET_SECONDS_A_NODE = 1.0, 0.01
+
+
+@dataclass(frozen=True)
+class Said:
+    """What a node said on its line."""
+
+    index: Index
+    words: Words
+
+
+@dataclass(frozen=True)
+class NodeState:
+    """A node, its process, and how that stands: a word of `places.STATES`."""
+
+    index: Index
+    pid: int
+    state: str
+
+
+class Crew:
+    """The nodes of an array as processes.
+
+    pids    the process of each node, also of one that has ended and was not forked anew yet
+    dead    nodes that are to be forked anew
+    lost    those that ended by themselves, in the order in which that was heard; for the caller to clear
+    """
+
+    def __init__(self, nursery: Nursery) -> None:
+        self.nursery = nursery
+        self.lines = Lines()
+        self.pids: dict[Index, int] = {}
+        self.dead: set[Index] = set()
+        self.lost: list[Ended] = []
+
+    def filenos(self) -> tuple[int, int]:
+        """Descriptors of which one can be read when `hear` has something to tell."""
+        return self.nursery.fileno(), self.lines.fileno()
+
+    def hear(self) -> list[Ended | Said]:
+        """Which nodes have ended, and what others said, without waiting. Raises LostProcess if the nursery is gone."""
+        heard: list[Ended | Said] = [Said(index, words) for index, words in self.lines.receive()]
+        for event in self.nursery.read_events():
+            if isinstance(event, Ended) and self.pids.get(event.index) == event.pid:
+                self.dead.add(event.index)
+                self.lines.remove(event.index)
+                self.lost.append(event)
+                heard.append(event)
+        return heard
+
+    def states(self) -> list[NodeState]:
+        """Every node with its process, as the kernel sees it now."""
+        found = [(index, pid, process_state(pid)) for index, pid in self.pids.items()]
+        return [NodeState(index, pid, STATES.get(letter, letter)) for index, pid, letter in found]
+
+    def begin(self, configs: dict[Index, Config]) -> int:
+        """Bring every node to the epoch of these configs; returns how many were forked for it.
+
+        Living nodes are told on their lines; those that are stopped, deaf or do not answer in time are killed. Raises
+        LostProcess if the nursery is gone or a process cannot be killed, ArrayError if nodes cannot be forked.
+        """
+        self.hear()
+        silent = self._signal(configs)
+        if silent:
+            self.nursery.kill([self.pids[index] for index in silent])
+            self._await(lambda: silent <= self.dead, LAST_WAIT)
+            if not silent <= self.dead:
+                index = min(silent - self.dead)
+                self.nursery.deaf = True  # or the kernel would have ended them, and it said so
+                raise LostProcess(f"node {_name(index)} (pid {self.pids[index]}) does not end when it is killed")
+            self.lost = [event for event in self.lost if event.index not in silent]
+        missing = {index: config for index, config in configs.items() if index in self.dead or index not in self.pids}
+        if missing:
+            pids = self.nursery.launch(list(missing.values()))
+            for index, pid in zip(missing, pids, strict=True):
+                self.pids[index] = pid
+                self.lines.add(index, self.nursery.take_line(pid))
+                self.dead.discard(index)
+        self.pids = {index: self.pids[index] for index in configs}  # x fastest, whoever was forked last
+        return len(missing)
+
+    def close(self) -> None:
+        """Close the lines; the nursery is ended by its owner."""
+        self.lines.close()
+
+    def _signal(self, configs: dict[Index, Config]) -> set[Index]:
+        """Tell the living nodes; returns those that did not acknowledge."""
+        silent = {index for index in configs if index in self.pids and index not in self.dead}
+        stopped = {state.index for state in self.states() if state.state == STATES["T"]}
+        told = {index for index in silent - stopped if self.lines.send(index, reset_order(configs[index]))}
+
+        def all_answered() -> bool:
+            return not told & silent - self.dead
+
+        deadline = time.monotonic() + RESET_SECONDS + RESET_SECONDS_A_NODE * len(told)
+        while not all_answered() and (left := deadline - time.monotonic()) > 0:
+            self._wait(left)
+            for event in self.hear():
+                if isinstance(event, Said) and _acknowledges(event.words, configs[event.index]):
+                    silent.discard(event.index)
+        return silent - self.dead
+
+    def _await(self, done: Callable[[], bool], seconds: float) -> None:
+        deadline = time.monotonic() + seconds
+        while not done() and not self.nursery.stopped and (left := deadline - time.monotonic()) > 0:
+            self._wait(min(left, LOOK_SECONDS))
+            self.hear()
+
+    def _wait(self, seconds: float) -> None:
+        poller = select.poll()
+        for descriptor in self.filenos():
+            poller.register(descriptor, select.POLLIN)
+        poller.poll(seconds * 1000)
+
+
+def _acknowledges(words: Words, config: Config) -> bool:
+    return words.get("is") == "reset" and words.get("epoch") == config["epoch"]
+
+
+def _name(index: Index) -> str:
+    return ",".join(map(str, index))

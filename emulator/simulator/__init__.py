@@ -1,0 +1,1 @@
+"""Simulates a whole array in one process and in machine time."""

@@ -1,0 +1,261 @@
+"""The commands `raygrid submit` and `raygrid wait`: jobs, and the following of them."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from dataclasses import dataclass, replace
+from typing import Any
+
+from raygrid.host.cli.progress import PHASES, Talk
+from raygrid.host.client.client import absolute, pattern_at
+from raygrid.host.client.connection import ENDED, Connection, Listener
+from raygrid.host.client.service_files import find
+from raygrid.host.files.input_guard import STANDARD, check_outputs, note
+from raygrid.host.image.frames import (
+    Ends,
+    Turntable,
+    check_patterns,
+    default_outputs,
+    frames_of,
+    is_played,
+    path_of,
+    wants_shot,
+)
+from raygrid.host.image.moving_pictures import check_played
+from raygrid.host.image.outputs import check_named, check_picture_path, write_result
+from raygrid.host.scene.load import check_name, check_program_name
+from raygrid.host.text.misuse import OutputMisuse
+from raygrid.node.errors import ArrayError, SceneError
+
+WORDS = PHASES | {"read": "reading", "write": "writing"}
+CANCEL_SECONDS = 5.0
+NO_JOB = 0  # its number is in the answer
+
+Facts = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Order:
+    """What the command line asks for; `settings` of `raygrid.host.render.job.Settings`."""
+
+    scene: str
+    name: str
+    frames: tuple[int, int] | None
+    outputs: tuple[str, ...]
+    stats: str | None
+    transfer: str
+    budget: int
+    resume: bool
+    detach: bool
+    as_json: bool
+    quiet: bool
+    client: str
+    settings: Facts
+    turntable: Turntable | None = None
+    program: str | None = None
+    priority: int = 0
+
+
+def run_submit(order: Order) -> None:
+    """Queue a job and follow it. Raises RaygridError."""
+    order = _named(order)
+    _check(order)
+    order = replace(order, frames=_frames(order))
+    connection = Connection(find(order.name))
+    with contextlib.closing(connection):
+        listener = connection.listen(NO_JOB)
+        answer = connection.ask(_request(order), listener=listener)
+        job = answer["job"]
+        if order.detach:
+            write_result(json.dumps({"job": job, "frames": answer["frames"]}) if order.as_json else str(job))
+            return
+        try:
+            _follow(listener, job, answer["frames"], order.as_json, order.quiet)
+        except BaseException as error:
+            if _is_interrupt(error):
+                _cancel(connection, job)
+            raise
+
+
+def run_wait(job: int, name: str, as_json: bool, quiet: bool) -> None:
+    """Follow a job. Raises RaygridError, also if the job has failed or was cancelled."""
+    connection = Connection(find(name))
+    with contextlib.closing(connection):
+        listener = connection.listen(job)
+        facts = connection.ask({"do": "follow", "job": job})
+        if facts["state"] in ENDED:
+            if as_json:
+                write_result(json.dumps({**facts, "is": "event", "what": "end"}))
+            _judge(job, facts)
+            return
+        _follow(listener, job, facts["frames"], as_json, quiet)
+
+
+def _of_shot(order: Order) -> bool:
+    """Whether frames of a shot are asked for, and not a picture of the scene as it stands. Raises OutputError."""
+    stats = [] if order.stats is None else [order.stats]
+    return wants_shot(order.frames, order.turntable is not None, (*order.outputs, *stats))
+
+
+def _named(order: Order) -> Order:
+    """The same with the default output, if none was named."""
+    return order if order.outputs else replace(order, outputs=default_outputs(order.scene, _of_shot(order)))
+
+
+def _frames(order: Order) -> Ends | None:
+    """The frames of the job, as `render` has them: where none are named, but a shot is asked for, all of it.
+
+    Raises SceneError for a scene in which nothing moves.
+    """
+    if order.frames is not None or not _of_shot(order):
+        return order.frames
+    if order.turntable is not None:
+        return 1, order.turntable.frames
+    from raygrid.host.scene.load import load_scene
+
+    numbers = frames_of(load_scene(order.scene), None)
+    return numbers[0], numbers[-1]
+
+
+def _check(order: Order) -> None:
+    """What can be seen to be wrong before the array is asked. Raises SceneError, OutputError."""
+    check_name(order.scene)
+    named = [*order.outputs] + ([] if order.stats is None else [order.stats])
+    for what, path in (("scene", order.scene), *(("output", path) for path in named)):
+        absolute(what, path)
+    if not os.path.isfile(order.scene):
+        raise SceneError(f"{order.scene}: there is no such file")
+    if order.program is not None:
+        check_program_name(order.program)
+    if order.program is not None and not os.path.isfile(order.program):
+        raise SceneError(f"{order.program}: there is no such file")
+    shot = _of_shot(order)
+    check_patterns(order.outputs, order.stats, order.frames, shot)
+    first = order.frames[0] if order.frames is not None else 1 if shot else None
+    written = [path_of(pattern, first) for pattern in order.outputs]
+    for path, pattern in zip(written, order.outputs, strict=True):
+        if path == STANDARD:
+            raise OutputMisuse("-: the output is standard output, wanted a file, since the service writes it")
+        if is_played(pattern, shot):
+            check_played(path)
+        else:
+            check_picture_path(path)
+    if order.stats is not None:
+        written.append(path_of(order.stats, first))
+        check_named(written[-1])
+    note(order.scene, "the same file as the scene")
+    if order.program is not None:
+        note(order.program, "the same file as the program")
+    check_outputs(written)
+
+
+def _request(order: Order) -> Facts:
+    settings = {name: value for name, value in order.settings.items() if value is not None}
+    if "size" in settings:
+        settings["size"] = list(settings["size"])
+    turn = order.turntable
+    return {
+        "do": "submit",
+        "scene": absolute("scene", order.scene),
+        "settings": settings,
+        "frames": None if order.frames is None else list(order.frames),
+        "outputs": [pattern_at("output", pattern) for pattern in order.outputs],
+        "stats": None if order.stats is None else pattern_at("stats", order.stats),
+        "transfer": order.transfer,
+        "budget": order.budget,
+        "resume": order.resume,
+        "client": order.client,
+        "turntable": None if turn is None else {"frames": turn.frames, "scene": turn.turn_scene},
+        "program": None if order.program is None else absolute("program", order.program),
+        "priority": order.priority,
+        "follow": not order.detach,
+    }
+
+
+def _follow(listener: Listener, job: int, frames: int, as_json: bool, quiet: bool) -> None:
+    """Tell of a job until it has ended. Raises ArrayError unless it is done."""
+    with Talk(quiet or as_json) as talk:
+        teller = _Teller(talk, job, frames)
+        for event in listener.follow():
+            if as_json:
+                write_result(json.dumps({key: value for key, value in event.items() if key != "is"}))
+            else:
+                teller.tell(event)
+    if not as_json:
+        teller.sum_up(event, quiet)
+    _judge(job, event)
+
+
+class _Teller:
+    """Events as a person reads them: files to standard output, the rest as a live line."""
+
+    def __init__(self, talk: Talk, job: int, frames: int) -> None:
+        self._talk, self._job, self._frames = talk, job, frames
+        self._phase: str | None = None
+        talk.phase(f"job {job} is queued")
+
+    def tell(self, event: Facts) -> None:
+        """Tell of one event."""
+        what = event["what"]
+        if what == "progress":
+            self._progress(event)
+        elif what == "note":
+            self._talk.remark(event["text"])
+        elif what == "fault":
+            self._talk.remark(f"the array failed and was repaired: {event['text']}")
+        elif what == "frame":
+            for file in (*([] if event["skipped"] else event["files"]), *event["played"]):
+                write_result(os.path.relpath(file) if _is_below(file) else file)
+
+    def _progress(self, event: Facts) -> None:
+        words = WORDS.get(event["phase"], str(event["phase"]))
+        if self._frames == 1:
+            if words != self._phase:
+                self._phase = words
+                self._talk.phase(words, 1 if event["phase"] == "trace" else None)
+            if event["phase"] == "trace":
+                self._talk.part(event["part"], f"{event['in_flight']:,} packets in flight")
+            return
+        if self._phase is None:
+            self._phase = ""
+            self._talk.phase(f"job {self._job}", self._frames)
+        self._talk.part(
+            event["done"] + event["part"], f"frame {event['frame']}: {words}, {event['done']} of {self._frames} done"
+        )
+
+    def sum_up(self, event: Facts, quiet: bool) -> None:
+        """What is said of files that were there."""
+        if not quiet and event.get("skipped"):
+            self._talk.remark(f"{event['skipped']} of {event['frames']} frames were there already")
+
+
+def _is_below(file: str) -> bool:
+    try:
+        return file.startswith(os.path.join(os.getcwd(), ""))
+    except FileNotFoundError:  # the current directory was removed
+        return False
+
+
+def _judge(job: int, end: Facts) -> None:
+    """Raise ArrayError unless the job is done."""
+    if end["state"] == "failed":
+        raise ArrayError(f"job {job} failed: {end['error']}")
+    if end["state"] == "cancelled":
+        raise ArrayError(f"job {job} was cancelled")
+    if end["state"] != "done":
+        raise ArrayError(f"job {job} is not done: {end['error']}")
+
+
+def _is_interrupt(error: BaseException) -> bool:
+    """Whether it was Ctrl-C; other signals leave the job to go on."""
+    import signal
+
+    return isinstance(error, KeyboardInterrupt) or getattr(error, "number", None) == signal.SIGINT
+
+
+def _cancel(connection: Connection, job: int) -> None:
+    """Cancel over a new connection: the old one may have been left within a message."""
+    with contextlib.suppress(Exception), contextlib.closing(Connection(connection.record, CANCEL_SECONDS)) as fresh:
+        fresh.ask({"do": "cancel", "jobs": [job]})

@@ -1,0 +1,443 @@
+"""The command line. Heavy libraries are imported by the commands that need them, so that --help is quick.
+
+Exit codes: 0 done, 1 failed, 2 usage, 128 + n ended by signal n (Ctrl-C: 130). Results go to standard output, talk and
+errors to standard error, an error being one line; --debug, or the variable RAYGRID_DEBUG, adds tracebacks.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import gc
+import json
+import os
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Iterator
+from typing import Any
+
+import click
+
+from raygrid.host.cli import group_inspect, group_machine_time, group_service
+from raygrid.host.cli.types import (
+    Fault,
+    FileName,
+    Frames,
+    Number,
+    Pair,
+    Shape,
+    debug_option,
+    outside_option,
+    path_option,
+)
+from raygrid.host.files.input_guard import noted
+from raygrid.host.text.standard_streams import ready_streams
+
+DEBUG = "RAYGRID_DEBUG"
+# Of what a command imports nearly all stays: looking it through for cycles as often as by default takes a sixth of the time.
+FEWER_LOOKS = (50_000, 20, 100)
+# numpy's threads would wait in a busy loop, beside the nodes, for matrices that are too small for them
+ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+EXAMPLES = """\b
+Examples:
+  raygrid render scenes/room.glb
+  raygrid render scenes/glass.toml --array 3x3x3 --samples 4 -o glass.png
+  raygrid render scenes/mobile.toml --frames 1-48 -o 'out/m_%04d.png'
+  raygrid render scenes/kinds.nff --split uniform -o kinds.npy
+  raygrid simulate scenes/kinds.nff --array 10x10x10 --cost 8086
+  raygrid info scenes/room.glb
+  raygrid export scenes/kinds.nff -o kinds.pov
+  raygrid up --array 2x2x2
+  raygrid submit scenes/room.glb -o room.png
+"""
+RENDER_EXAMPLES = """\b
+Examples:
+  raygrid render scenes/room.glb
+  raygrid render scenes/glass.toml --array 3x3x3 --samples 4 -o glass.png
+  raygrid render scenes/checker.obj -o a.png -o a.npy --stats a.json
+  raygrid render scenes/tree.nff --array 4x4x1 --split uniform --batch 1
+  raygrid render scenes/mobile.toml --frames 1-48 -o 'out/m_%04d.png'
+  raygrid render scenes/glass.toml --turntable 72 -o out/round.webp
+  raygrid render scenes/rings.toml --allow-programs \\
+      --program scenes/programs/torus.py -o rings.png
+
+.npy holds the exact sums as int64, height x width x 3: linear radiance x 2^24, added over the samples of a pixel.
+docs/stats.md says what the statistics mean, docs/probes.md what probes tell, docs/animation.md how scenes move.
+"""
+LOAD_EXAMPLES = """\b
+Examples:
+  raygrid load scenes/programs/torus.py --allow-programs
+  raygrid render scenes/rings.toml --allow-programs \\
+      --program scenes/programs/torus.py -o rings.png
+"""
+INFO_EXAMPLES = """\b
+Examples:
+  raygrid info scenes/room.glb
+  raygrid info --json scenes/checker.obj
+"""
+EXPORT_EXAMPLES = """\b
+Examples:
+  raygrid export scenes/kinds.nff
+  raygrid export scenes/room.glb --depth 3 -o room.pov
+"""
+
+
+@click.group(epilog=EXAMPLES, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="raygrid")
+@debug_option
+def cli() -> None:
+    """The parallel ray tracing computer of 1983: processors that each own a box of space and talk to their neighbours."""
+
+
+# fmt: off
+@cli.command(epilog=RENDER_EXAMPLES)
+@click.argument("scene")
+@click.option("--array", "shape", type=Shape(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
+              help="Processors on each axis.")
+@click.option("--size", type=Pair(), metavar="WxH", help="Pixels.  [default: what the scene asks for, else 512x512]")
+@click.option("--samples", type=Number(1, 1 << 32), metavar="N", help="Samples a pixel.  [default: the scene's, else 1]")
+@click.option("--depth", type=Number(1, 31), metavar="N",
+              help="Depth of the last hit that is lit, 1 to 31; the eye's ray has depth 1.  [default: the scene's, else 5]")
+@click.option("--min-weight", type=Number(0.0, 1e30), metavar="WEIGHT",
+              help="Rays fainter than this are not born.  [default: the scene's, else 0]")
+@click.option("--highlights/--no-highlights", default=None, help="Phong highlights.  [default: off for NFF, else on]")
+@click.option("--split", type=click.Choice(["balanced", "uniform"]), default="balanced", show_default=True,
+              help="Where the planes between processors lie: so that work is spread, or in equal boxes.")
+@click.option("--batch", type=Number(1, 8192), default=4096, show_default=True, metavar="PACKETS",
+              help="Most packets a message; 1 is the machine of 1983.")
+@click.option("--budget", type=Number(1, (1 << 32) - 1), default=1 << 20, show_default=True, metavar="PACKETS",
+              help="Packets in flight below which new primary rays are admitted.")
+@click.option("--transfer", type=click.Choice(["srgb", "linear"]), default="srgb", show_default=True,
+              help="From linear radiance to the bytes of a picture.")
+@click.option("-o", "--output", "outputs", multiple=True, type=FileName(), metavar="FILE",
+              help="Picture (.png .jpg .webp .tif .bmp .ppm), or .npy of the exact sums; - is standard output, a PNG; may be "
+                   "repeated.  [default: the scene's name with .png, here]")
+@click.option("--frames", type=Frames(), metavar="A-B",
+              help="Render these frames of a shot; FILE then has a number such as %04d in its name, or is .gif .webp .mp4.")
+@click.option("--turntable", type=Number(1, 1_000_000), metavar="N", help="The camera goes once round the scene in N frames.")
+@click.option("--turntable-scene", type=Number(1, 1_000_000), metavar="N",
+              help="The scene turns once in N frames, under lights that stay.")
+@click.option("--resume", is_flag=True,
+              help="Skip frames whose files are there, whole, and of just this shot: a .png says so itself, others are "
+                   "rendered again.")
+@click.option("--program", type=FileName(), metavar="FILE",
+              help="Code for the nodes: a surface, a shading rule or a background (docs/programs.md).")
+@click.option("--allow-programs", is_flag=True, help="Launch an array that takes programs. They run with your rights.")
+@path_option("--stats", metavar="FILE", help="Write what the machine did as JSON; - is standard output.")
+@path_option("--probe-record", metavar="FILE",
+              help="Keep how every node stood, line by line, as JSON. For a single frame.")
+@path_option("--chrome-trace", metavar="FILE",
+              help="Write the same as a trace for Perfetto. For a single frame.")
+@click.option("--probe-rate", type=Number(0.01, 100.0), default=10.0, show_default=True, metavar="HZ",
+              help="How often a node tells how it stands, if anybody asks.")
+@click.option("--profile", is_flag=True,
+              help="Say where each processor's time went: receive, birth, decode, walk, hit, shade, send, other, wait. "
+                   "For a single frame.")
+@click.option("--patience", type=Number(0.1, 1e9), default=30.0, show_default=True, metavar="SECONDS",
+              help="Time without any progress after which the array is taken to hang.")
+@click.option("--timed", is_flag=True, help="Keep machine time, too: ticks in --stats. Slow; see docs/machine-time.md.")
+@click.option("--cost", metavar="MODEL", help="With --timed, what work costs; as for simulate.  [default: 8086]")
+@click.option("--search", type=click.Choice(["list", "tree"]), help="With --timed; as for simulate.")
+@click.option("--attempts", type=Number(1, 1000), default=4, show_default=True, metavar="N",
+              help="How often to try when processors are lost or links break; the picture is the same.")
+@click.option("--fault", type=Fault(), metavar="KIND[:RATE[:SEED]]",
+              help="For experiments: links between neighbours drop, double, reorder, delay, corrupt or truncate this part "
+                   "of their messages; --patience is then 3 at most.  [default rate: 0.0001]")
+@click.option("-q", "--quiet", is_flag=True, help="No talk but errors. (Without a terminal there is hardly any.)")
+@outside_option
+@debug_option
+def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **options: Any) -> None:
+    """Render a scene file on an array of processes.
+
+    SCENE is a file of one of these kinds: .nff .obj .ply .stl .glb .gltf .toml
+    """
+    from raygrid.host.cli.commands.render import Request, run_render
+    from raygrid.host.image.frames import default_outputs, turntable_of, wants_shot
+
+    of_machine = ("batch", "budget", "transfer", "stats", "patience", "attempts", "fault", "quiet", "profile")
+    names = (*of_machine, "probe_record", "chrome_trace", "probe_rate", "frames", "program", "allow_programs", "resume")
+    machine = {name: options.pop(name) for name in names}
+    timed, cost, search = (options.pop(name) for name in ("timed", "cost", "search"))
+    if not timed and (cost or search):
+        raise click.UsageError("--cost and --search came without --timed")
+    machine |= {"cost": (cost or "8086") if timed else None, "search": search}
+    turntable = turntable_of(options.pop("turntable"), options.pop("turntable_scene"))
+    named = [*outputs, *filter(None, [machine["stats"]])]
+    several = wants_shot(machine["frames"], turntable is not None, named)
+    if timed and (several or machine["program"] is not None):
+        raise click.UsageError("--timed came with --frames, --turntable or --program, wanted one frame without a program")
+    if several and (machine["profile"] or machine["probe_record"] or machine["chrome_trace"]):
+        raise click.UsageError("--profile, --probe-record or --chrome-trace came with several frames, wanted a single one")
+    outputs = outputs or default_outputs(scene, several)
+    request = Request(scene, shape, outputs, **machine, settings=options, turntable=turntable)
+    if request.resume and not several:
+        raise click.UsageError("--resume came without frames, wanted --frames, --turntable, or a number such as %04d in a name")
+    run_render(request)
+
+
+@cli.command(epilog=LOAD_EXAMPLES)
+@click.argument("program", type=FileName())
+@click.option("--array", "shape", type=Shape(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
+              help="Processors on each axis.")
+@click.option("--allow-programs", is_flag=True, help="Launch an array that takes programs. They run with your rights.")
+@click.option("-q", "--quiet", is_flag=True, help="No talk but errors.")
+@debug_option
+def load(program: str, shape: tuple[int, int, int], allow_programs: bool, quiet: bool) -> None:
+    """Try a program on an array of processes.
+
+    PROGRAM is a file as docs/programs.md describes it. Every node checks, compiles and tries it; what is compiled stays on
+    disk, so that `raygrid render --program` begins at once.
+    """
+    from raygrid.host.cli.commands.load import run_load
+
+    run_load(program, shape, allow_programs, quiet)
+
+
+@cli.command(epilog=INFO_EXAMPLES)
+@click.argument("scene")
+@click.option("--json", "as_json", is_flag=True, help="As JSON.")
+@outside_option
+@debug_option
+def info(scene: str, as_json: bool) -> None:
+    """Say what is in a scene file.
+
+    SCENE is a file of one of these kinds: .nff .obj .ply .stl .glb .gltf .toml
+    """
+    from raygrid.host.image.outputs import write_result
+    from raygrid.host.scene.load import load_scene
+    from raygrid.host.scene.scene import describe
+
+    facts = describe(load_scene(scene))
+    write_result(json.dumps(facts, indent=2) if as_json else "\n".join(_lines(facts)))
+
+
+@cli.command(epilog=EXPORT_EXAMPLES)
+@click.argument("scene")
+@click.option("--depth", type=Number(1, 31), metavar="N", help="As for render.  [default: the scene's, else 5]")
+@click.option("--highlights/--no-highlights", default=None, help="As for render.  [default: off for NFF, else on]")
+@path_option(
+    "-o",
+    "--output",
+    metavar="FILE",
+    help="File to write.  [default: the scene's name with .pov, here]",
+)
+@click.option("--frame", type=Number(1, 1_000_000), metavar="N", help="The frame of a shot.  [default: 1]")
+@outside_option
+@debug_option
+def export(scene: str, depth: int | None, highlights: bool | None, output: str | None, frame: int | None) -> None:
+    """Write a scene file for POV-Ray 3.7.
+
+    POV-Ray renders the same picture from it, by the same rules; the head of the file says what differs.
+    """
+    from raygrid.host.export.povray import export_file
+    from raygrid.host.image.outputs import write_names
+
+    written = [
+        export_file(scene, output, depth, highlights, frame, lambda told: click.echo(f"note: {told}", err=True))
+    ]
+    write_names(written, written)
+
+
+group_machine_time.add_commands(cli)
+group_service.add_commands(cli, render, debug_option)
+group_inspect.add_commands(cli, debug_option)
+
+
+def _lines(facts: dict[str, Any], indent: str = "") -> Iterator[str]:
+    """Facts as indented text."""
+    from raygrid.host.text.clean_text import printable
+
+    for name, value in facts.items():
+        label = f"{indent}{name.replace('_', ' ')}:"
+        if isinstance(value, dict):
+            yield label
+            yield from _lines(value, indent + "  ")
+        elif isinstance(value, list) and value and isinstance(value[0], dict | str):
+            yield label
+            for item in value:
+                yield (
+                    indent
+                    + "  "
+                    + (printable(item) if isinstance(item, str) else ", ".join(f"{k} {_short(v)}" for k, v in item.items()))
+                )
+        else:
+            yield f"{label} {_short(value)}"
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list):
+        return " ".join(f"({_short(item)})" if isinstance(item, list) else _short(item) for item in value) or "none"
+    return "not set" if value is None else str(value)
+
+
+# --- errors, signals, exit codes -----------------------------------------------------------------
+
+
+class Ended(BaseException):
+    """A signal asked the program to end."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+
+def _end(number: int, _frame: Any) -> None:
+    raise Ended(number)
+
+
+@contextlib.contextmanager
+def _signals_as_exceptions() -> Iterator[None]:
+    """Ctrl-C, SIGTERM and SIGHUP end the program by way of everything that has to be cleaned up."""
+    before = {}
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        with contextlib.suppress(ValueError):  # not in the main thread
+            if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+                before[number] = signal.signal(number, _end)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _run(arguments: list[str]) -> int:
+    """Run a command; returns the exit code. Known errors become one line."""
+    try:
+        with _signals_as_exceptions(), noted():
+            code = cli.main(args=arguments, prog_name="raygrid", standalone_mode=False)
+        return code if isinstance(code, int) else 0
+    except click.exceptions.Exit as end:
+        return end.exit_code
+    except click.exceptions.NoArgsIsHelpError as error:
+        error.show()
+        return 2
+    except click.ClickException as error:
+        context = getattr(error, "ctx", None)
+        command = "raygrid" if context is None else context.command_path
+        return _say_misuse(command, _misused(error))
+    except Ended as error:
+        name = signal.Signals(error.number).name
+        _say("raygrid: stopped" if error.number == signal.SIGINT else f"raygrid: ended by {name}")
+        return 128 + error.number
+    except Exception as error:
+        return _say_failed(error, arguments)
+
+
+def _say_failed(error: Exception, arguments: list[str]) -> int:
+    from raygrid.host.text.misuse import Misuse
+
+    if isinstance(error, Misuse):
+        return _say_misuse(_command(arguments), _told(error).removeprefix("raygrid: "))
+    if isinstance(error, OSError) and {"-h", "--help", "--version"} & set(arguments):  # click prints these by itself
+        _say(f"raygrid: standard output cannot be written ({error.strerror})")
+    else:
+        _say(_told(error) + _programs_hint(error, _command(arguments)))
+    return 1
+
+
+def _programs_hint(error: Exception, words: str) -> str:
+    """How the command that was called, or another, is given the program that a scene wants."""
+    from raygrid.host.scene.load import WantsProgram
+
+    if not isinstance(error, WantsProgram):
+        return ""
+    command = cli.commands.get(words.removeprefix("raygrid "))
+    options = () if command is None else (option for parameter in command.params for option in parameter.opts)
+    return " (--program)" if "--program" in options else f", which {words} does not run: raygrid render --program does"
+
+
+def _command(arguments: list[str]) -> str:
+    """The words of the command that was called."""
+    return " ".join(["raygrid", *[word for word in arguments if word in cli.commands][:1]])
+
+
+def _say_misuse(command: str, what: str) -> int:
+    _say(f"{command}: {what} ({command} --help says more)")
+    return 2
+
+
+def _misused(error: click.ClickException) -> str:
+    """What is wrong with the arguments, as one line."""
+    message = " ".join(error.format_message().split())
+    if isinstance(error, click.BadParameter) and error.message and error.param is not None:
+        names = sorted((*error.param.opts, error.param.human_readable_name), key=lambda name: -name.count("-"))
+        message = f"{names[0]}: {' '.join(error.message.split())}"
+    return message
+
+
+def _told(error: Exception) -> str:
+    """An error as one line, behind its traceback if that is wanted."""
+    from raygrid.node.errors import RaygridError
+
+    debug = bool(os.environ.get(DEBUG))
+    if debug:
+        traceback.print_exception(error)
+    if isinstance(error, RaygridError):
+        return f"raygrid: {' '.join(str(error).split())}"
+    if isinstance(error, MemoryError):
+        return "raygrid: out of memory"
+    if isinstance(error, FileNotFoundError) and not _stands_somewhere():
+        return "raygrid: the working directory is gone, wanted one that is there"
+    where = "" if debug else " (raygrid --debug shows where)"
+    return f"raygrid: a bug: {type(error).__name__}: {' '.join(str(error).split())}{where}"
+
+
+def _stands_somewhere() -> bool:
+    """Whether the working directory is there; without it no relative path means anything."""
+    try:
+        return bool(os.getcwd())
+    except FileNotFoundError:
+        return False
+
+
+def _say(line: str) -> None:
+    from raygrid.host.text.clean_text import printable
+
+    line = printable(line)
+    with contextlib.suppress(OSError, ValueError):
+        click.echo(line, err=True)
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Run a command. Always ends by SystemExit; as a program (no argv) it has ended then, with all files written."""
+    arguments = sys.argv[1:] if argv is None else argv
+    if "--debug" in arguments:
+        os.environ[DEBUG] = "1"  # the nodes look for it, too
+    if argv is not None:
+        raise SystemExit(_run(arguments))
+    ready_streams()
+    gc.set_threshold(*FEWER_LOOKS)
+    for name in ONE_THREAD:
+        os.environ.setdefault(name, "1")
+    code = _run(arguments)
+    _leave(code)
+    raise SystemExit(code)
+
+
+def _leave(code: int) -> None:
+    """End the process without taking every module apart, which takes numba and numpy a fifth of a second.
+
+    What is to be done at the end is done, as Python does it and in its order; if anything of that is not plain, this
+    returns, and Python ends as it always does.
+    """
+    if any(thread is not threading.main_thread() and not thread.daemon for thread in threading.enumerate()):
+        return
+    atexit._run_exitfuncs()  # each is run once, so that returning from here is safe
+    try:
+        for stream in (sys.stdout, sys.stderr):
+            if stream is not None:
+                stream.flush()
+    except BrokenPipeError:  # Python has its own words and exit code for it
+        return
+    except (OSError, ValueError) as error:
+        if code == 0:
+            _say(f"raygrid: standard output cannot be written ({getattr(error, 'strerror', None) or error})")
+        os._exit(code or 1)
+    os._exit(code)

@@ -1,0 +1,148 @@
+"""Messages between a client and an array that stays: maps in msgpack, each behind its length. No socket in here.
+
+    +--------------------+-------------------+
+    | length, u32 little | one map, msgpack  |
+    +--------------------+-------------------+
+
+What comes is checked before it is used: the length before it is waited for, the number of items and the depth of
+nesting, and that there are only strings, numbers, booleans, nothing, lists and maps with string keys.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from typing import Any
+
+import msgpack
+
+from raygrid.node.errors import ProtocolError
+from raygrid.node.protocol.codec import Limits, read_map
+
+Message = dict[str, Any]
+
+VERSION = 1
+LENGTH = struct.Struct("<I")
+LONGEST = 1 << 23  # bytes of a message
+LONGEST_GREETING = 1 << 10  # of the first message of a client, before it is known
+MOST_ITEMS = 1 << 17  # of a list or map
+DEEPEST = 6  # lists and maps within each other
+LIMITS = Limits(MOST_ITEMS, DEEPEST, most_bytes=0)
+PLAIN = (str, int, float, bool, type(None))
+SHOWN = 60  # characters of a value that is named in an error
+
+
+def pack(message: Message, escape: bool = False) -> bytes:
+    """A message as bytes. Raises ProtocolError if it is too long, or cannot be one.
+
+    escape  text that is no UTF-8, such as a path may be, instead of refusing the message: for what is only to be read
+    """
+    try:
+        body: bytes = msgpack.packb(
+            message, use_bin_type=True, unicode_errors="backslashreplace" if escape else "strict"
+        )
+    except (ValueError, TypeError, OverflowError) as error:
+        raise ProtocolError(f"a message cannot be sent: {str(error).splitlines()[0][:200]}") from None
+    if len(body) > LONGEST:
+        raise ProtocolError(f"a message of {len(body)} bytes was to be sent, wanted at most {LONGEST}")
+    return LENGTH.pack(len(body)) + body
+
+
+def unpack(body: bytes | bytearray) -> Message:
+    """The map in the body of a message. Raises ProtocolError for anything else."""
+    message = read_map(body, "a message", LIMITS)
+    _check_plain(message)
+    return message
+
+
+def _check_plain(value: Message | list[Any]) -> None:
+    for inner in value.values() if isinstance(value, dict) else value:
+        if isinstance(inner, dict | list):
+            _check_plain(inner)
+        elif not isinstance(inner, PLAIN):  # msgpack lets a string of no bytes pass
+            raise ProtocolError(f"a message came with {type(inner).__name__}, wanted plain text and numbers")
+
+
+class Splitter:
+    """Cuts a stream of bytes into messages.
+
+    longest   bytes of the longest message that is taken; may be changed between messages
+    """
+
+    def __init__(self, longest: int = LONGEST) -> None:
+        self.longest = longest
+        self._held = bytearray()
+
+    @property
+    def held(self) -> int:
+        """Bytes of a message that has not come whole."""
+        return len(self._held)
+
+    def feed(self, piece: bytes) -> None:
+        """Take in what has come."""
+        self._held += piece
+
+    def next(self) -> Message | None:
+        """The next whole message, None if there is none yet. Raises ProtocolError."""
+        if len(self._held) < LENGTH.size:
+            return None
+        (length,) = LENGTH.unpack_from(self._held)
+        if length > self.longest:
+            raise ProtocolError(f"a message of {length} bytes came, wanted at most {self.longest}")
+        end = LENGTH.size + length
+        if len(self._held) < end:
+            return None
+        body = bytes(self._held[LENGTH.size : end])
+        del self._held[:end]
+        return unpack(body)
+
+
+def unsendable(message: Message) -> str:
+    """What in a message cannot be sent, in one sentence; "" if all can."""
+    for place, value, wanted in _wrong(message, "", DEEPEST):
+        return f"{place.removeprefix('settings.') or 'a message'} came as {shown(value)}, wanted {wanted}"
+    return ""
+
+
+def _wrong(value: Any, place: str, deeper: int) -> Iterator[tuple[str, Any, str]]:
+    if isinstance(value, dict | list):
+        if deeper == 0 or len(value) > MOST_ITEMS:
+            yield place, value, f"at most {MOST_ITEMS} items, and at most {DEEPEST} lists and maps within each other"
+            return
+        pairs = [(place, item) for item in value]
+        if isinstance(value, dict):
+            pairs = [(".".join(filter(None, (place, _name(key)))), item) for key, item in value.items()]
+            of = f"a key of {place or 'a message'}"
+            yield from ((of, key, "text in UTF-8") for key in value if type(key) is not str or _is_torn(key))
+        for inner, item in pairs:
+            yield from _wrong(item, inner, deeper - 1)
+    elif isinstance(value, str):
+        if _is_torn(value):
+            yield place, value, "a name in UTF-8"
+    elif isinstance(value, int):
+        if not -(1 << 63) <= value < 1 << 64:
+            yield place, value, "a whole number of at most 64 bits"
+    elif not isinstance(value, PLAIN):
+        yield place, value, "text, a number, true or false, or a list of these"
+
+
+def _is_torn(text: str) -> bool:
+    """Whether a text has halves of characters, as names have that are no UTF-8."""
+    return any("\ud800" <= letter <= "\udfff" for letter in text)
+
+
+def _name(key: Any) -> str:
+    return key[:SHOWN] if isinstance(key, str) and key.isprintable() else shown(key)
+
+
+def shown(value: Any) -> str:
+    """A value as an error names it: as Python writes it, made short."""
+    if type(value) is int and value.bit_length() > 512:  # thousands of digits take long to write, or are refused
+        return f"a whole number of {value.bit_length()} bits"
+    try:
+        text = repr(value)
+    except ValueError:  # such a number within
+        return f"a {type(value).__name__}"
+    if len(text) > SHOWN:  # of a path the end counts more
+        text = f"{text[: SHOWN // 3]}...{text[-SHOWN * 2 // 3 :]}"
+    return text

@@ -1,0 +1,161 @@
+"""Frames of a job: their numbers, the names of their files, and how each is made of the scene. Light to import.
+
+The grammar of a name, the same for `render` and `submit`: %d, %4d or %04d stands for the frame's number, %% for a %.
+A name without a number is that of one picture, or of a file that plays and holds all frames.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from raygrid.host.text.misuse import OutputMisuse, SceneMisuse
+from raygrid.node.errors import SceneError
+
+FIELD = re.compile(r"%(?:(?P<width>0?[1-9])?d|%)")
+LAST_FRAME = 999_999_999
+MOST_FRAMES = 100_000  # of a job
+PLAYED = (".gif", ".webp", ".mp4")  # a .webp plays only if several frames are asked for
+ONLY_PLAYED = (".gif", ".mp4")
+
+Ends = tuple[int, int]
+
+
+def parse_frames(text: str) -> Ends:
+    """First and last frame of "A-B", or of "A" alone. Raises ValueError, saying what was wanted."""
+    found = re.fullmatch(r"([0-9]{1,9})(?:-([0-9]{1,9}))?", text)
+    first, last = (int(found[1]), int(found[2] or found[1])) if found else (0, 0)
+    if not 1 <= first <= last:
+        raise ValueError("wanted frames such as 1-48 or 7")
+    if last >= first + MOST_FRAMES:
+        raise ValueError(f"wanted at most {MOST_FRAMES} frames")
+    return first, last
+
+
+def _places(pattern: str) -> int:
+    """How many places for a number there are. Raises OutputError for a % that means nothing."""
+    if "%" in FIELD.sub("", pattern):
+        raise OutputMisuse(
+            f"{pattern}: the output has a % in its name that is no number, wanted one such as %04d, or %% for a %"
+        )
+    return sum(field[0] != "%%" for field in FIELD.finditer(pattern))
+
+
+def has_number(pattern: str) -> bool:
+    """Whether a name has a place for the number of a frame. Raises OutputError for a % that means nothing."""
+    return _places(pattern) > 0
+
+
+def path_of(pattern: str, frame: int | None) -> str:
+    """The file of a frame. `frame` may be None where the name has no number."""
+    return FIELD.sub(lambda field: "%" if field[0] == "%%" else f"{frame:{field['width'] or ''}d}", pattern)
+
+
+def pattern_of(path: str) -> str:
+    """The pattern that names just this file."""
+    return path.replace("%", "%%")
+
+
+def absolute(pattern: str | os.PathLike[str]) -> str:
+    """The pattern with its whole path: a % in the name of the current directory stands for itself."""
+    if os.path.isabs(pattern):
+        return os.path.normpath(pattern)
+    return os.path.normpath(os.path.join(pattern_of(os.getcwd()), pattern))
+
+
+def is_played(pattern: str, shot: bool) -> bool:
+    """Whether one file holds all frames; `shot`: whether frames of a shot are asked for."""
+    suffix = Path(pattern).suffix.lower()
+    return not has_number(pattern) and (suffix in ONLY_PLAYED or (shot and suffix in PLAYED))
+
+
+def wants_shot(frames: Ends | None, turns: bool, patterns: Iterable[str]) -> bool:
+    """Whether frames of a shot are asked for, and not a picture of the scene as it stands.
+
+    frames    what was asked for by number, or None; `turns`: by a turntable
+    patterns  of all files that a frame has: names with a number ask for the whole shot
+    """
+    return frames is not None or turns or any(has_number(name) or is_played(name, False) for name in patterns)
+
+
+def check_patterns(outputs: Iterable[str], stats: str | None, frames: Ends | None, shot: bool) -> None:
+    """Raise OutputError if the files of several frames would have one name, or a name says not what it is.
+
+    frames  first and last, or None: all of a shot, whose length is not known yet
+    """
+    outputs = list(outputs)
+    for pattern in (*outputs, *([] if stats is None else [stats])):
+        if _places(pattern) > 1:
+            raise OutputMisuse(
+                f"{pattern}: the output has {_places(pattern)} places for the frame's number, wanted one, such as f_%04d.png"
+            )
+    if not shot or (frames is not None and frames[0] == frames[1]):
+        return
+    for pattern in outputs:
+        if not has_number(pattern) and not is_played(pattern, shot):
+            raise OutputMisuse(
+                f"{pattern}: several frames would go to this one file, wanted a number such as %04d in its name, "
+                f"or one of: {' '.join(PLAYED)}"
+            )
+    if stats is not None and not has_number(stats):
+        raise OutputMisuse(f"{stats}: statistics of several frames came, wanted a number such as %04d in the name")
+
+
+def check_job(outputs: Iterable[str], stats: str | None, frames: Ends | None) -> None:
+    """Raise OutputError for names of files that a job cannot have. `frames`: those that it names, or None."""
+    outputs = list(outputs)
+    patterns = [*outputs, *([] if stats is None else [stats])]
+    if frames is None and wants_shot(None, False, patterns):
+        name = next(name for name in patterns if has_number(name) or is_played(name, False))
+        raise OutputMisuse(
+            f"{name}: the output is one of several frames and none were named, wanted frames such as 1-48"
+        )
+    check_patterns(outputs, stats, frames, frames is not None)
+
+
+class _Shot(Protocol):
+    @property
+    def frames(self) -> int: ...
+
+
+class _Scene(Protocol):
+    @property
+    def name(self) -> str: ...
+    @property
+    def shot(self) -> _Shot | None: ...
+
+
+def frames_of(scene: _Scene, frames: Ends | None) -> range:
+    """The numbers of the frames of a shot that are asked for, None: of all. Raises SceneError for those it has not."""
+    if scene.shot is None:
+        raise SceneError(f"{scene.name}: nothing moves in the scene, wanted keys in it, or --turntable N")
+    first, last = frames or (1, scene.shot.frames)
+    if not 1 <= first <= last <= scene.shot.frames:
+        came = f"frame {first}" if first == last else f"frames {first}-{last}"
+        raise SceneError(f"{scene.name}: {came} came, wanted frames of 1 to {scene.shot.frames}")
+    return range(first, last + 1)
+
+
+def default_outputs(scene: str, shot: bool) -> tuple[str, ...]:
+    """A .png of the scene's name, in the current directory; of a shot numbered ones."""
+    return (pattern_of(Path(scene).stem) + ("_%04d.png" if shot else ".png"),)
+
+
+@dataclass(frozen=True)
+class Turntable:
+    """How many frames a turn has, and whether the scene turns and not the camera."""
+
+    frames: int
+    turn_scene: bool
+
+
+def turntable_of(camera: int | None, scene: int | None) -> Turntable | None:
+    """The turntable that was asked for. Raises SceneMisuse if both were."""
+    if camera is not None and scene is not None:
+        raise SceneMisuse("--turntable and --turntable-scene came, wanted one of them")
+    frames = scene if camera is None else camera
+    return None if frames is None else Turntable(int(frames), scene is not None)

@@ -1,0 +1,107 @@
+"""The moving parts of a scene file: tracks of groups, camera, lights and materials, and the pose in a frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from raygrid.host.scene.animation.animation import Pose, about, after, motion, quaternion
+from raygrid.host.scene.animation.keyframes import Track, make_track
+from raygrid.host.scene.cameras import Camera
+from raygrid.host.scene.formats import toml_schema as schema
+from raygrid.host.scene.lights import Table, light_table
+from raygrid.host.scene.scene import Scene
+from raygrid.node.errors import SceneError
+from raygrid.node.geometry.rigid_motion import at_rest
+from raygrid.node.geometry.surfaces import F64
+
+Model = TypeVar("Model", bound=schema.Table)
+
+
+@dataclass(frozen=True)
+class Keyed(Generic[Model]):
+    """A table of the file, and the tracks of those of its keys that change."""
+
+    table: Model
+    tracks: dict[str, Track]
+
+    def at(self, frame: int) -> Model:
+        """The table as it is in a frame."""
+        if not self.tracks:
+            return self.table
+        values: dict[str, Any] = {}
+        for name, track in self.tracks.items():
+            value = track.at(frame).tolist()
+            values[name] = value[0] if len(value) == 1 else tuple(value)
+        return self.table.model_copy(update=values)
+
+
+def keyed(table: Model, keys: Sequence[schema.Key], way: str) -> Keyed[Model]:
+    """The tracks of a table's keys; a value that no key names stays as the table has it."""
+    tracks = {}
+    for name in type(keys[0]).model_fields if keys else ():
+        rows = [(key.frame, getattr(key, name)) for key in keys if getattr(key, name) is not None]
+        if name != "frame" and rows:
+            tracks[name] = make_track([row[0] for row in rows], [row[1] for row in rows], way)
+    return Keyed(table, tracks)
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Everything that moves.
+
+    groups     in the order of their names
+    parents    of each group, its number or -1
+    camera     None: the scene's own, which stays
+    lights     those that the file names, after `first_lights` that stay
+    materials  those that change, by their rows of the scene's table
+    """
+
+    scene: Scene
+    groups: tuple[Keyed[schema.Motion], ...]
+    pivots: tuple[tuple[float, float, float], ...]
+    parents: tuple[int, ...]
+    camera: Keyed[schema.Camera] | None
+    first_lights: Table
+    lights: tuple[Keyed[Any], ...]
+    materials: tuple[tuple[int, Keyed[schema.Material]], ...]
+    make_camera: Callable[[schema.Camera], Camera]
+    make_light: Callable[[Any], Table]
+    make_material: Callable[[schema.Material], Table]
+
+    def pose(self, frame: int) -> Pose:
+        """Where everything is. Raises SceneError for a camera or light that cannot be."""
+        motions: list[F64 | None] = [None] * len(self.groups)
+        for group in range(len(self.groups)):
+            self._motion(group, frame, motions)
+        scene = self.scene
+        camera = scene.camera if self.camera is None else self.make_camera(self.camera.at(frame))
+        lights, materials = scene.lights, scene.materials
+        if any(light.tracks for light in self.lights):
+            lights = light_table([self.first_lights, *(self._light(light, frame) for light in self.lights)])
+        if self.materials:
+            materials = materials.copy()
+            for row, material in self.materials:
+                materials[row : row + 1] = self.make_material(material.at(frame))
+        return Pose(np.stack(motions) if motions else at_rest(0), camera, lights, materials)  # type: ignore[arg-type]
+
+    def _motion(self, group: int, frame: int, known: list[F64 | None]) -> F64:
+        """A group's whole motion: its own, then its parent's."""
+        found = known[group]
+        if found is None:
+            m = self.groups[group].at(frame)
+            own = about(self.pivots[group], quaternion(m.rotate), m.scale)
+            found = after(motion(shift=m.translate), own)
+            if self.parents[group] >= 0:
+                found = after(self._motion(self.parents[group], frame, known), found)
+            known[group] = found
+        return found
+
+    def _light(self, light: Keyed[Any], frame: int) -> Table:
+        try:
+            return self.make_light(light.at(frame))
+        except (ValueError, SceneError) as error:
+            raise SceneError(f"a light of the kind {light.table.kind} shines nowhere: {error}") from None

@@ -1,0 +1,209 @@
+"""An array that is kept: it remembers what it holds, and is repaired when it fails. For use by one thread."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from raygrid.emulator.processes.array import Array
+from raygrid.emulator.processes.node_processes import RESET_SECONDS, RESET_SECONDS_A_NODE
+from raygrid.node.errors import ArrayError, ProtocolError, RaygridError, TooLarge
+
+if TYPE_CHECKING:
+    from raygrid.emulator.driver.driver import Progress
+    from raygrid.emulator.driver.samples import Sample
+    from raygrid.host.image.picture import Picture
+    from raygrid.host.render.frame import Watch
+    from raygrid.host.render.retry import Fault
+    from raygrid.host.service.scene_store import Ready
+
+Shape = tuple[int, int, int]
+OnFault = Callable[[str], None]
+
+
+class NoArray(ArrayError):
+    """There is no array, and none can be launched now."""
+
+
+class Keeper:
+    """Keeps one array.
+
+    shape     processors on each axis
+    options   of `Array`
+    floods    how often a scene was loaded
+    increments  how often the nodes were told only what has moved since the frame before
+    on_fault  told of each fault that was repaired
+    on_wait   called often while a frame is rendered; raises to give the frame up
+    rate      of the array's probes, in samples a second of each node; any thread may set it
+    on_sample told of each sample; to be set before the rate
+    """
+
+    def __init__(self, shape: Shape, on_fault: OnFault, on_wait: Callable[[], None], **options: Any) -> None:
+        self.shape, self.floods, self.increments = shape, 0, 0
+        self._on_fault, self._on_wait = on_fault, on_wait
+        self._options = options
+        self._array: Array | None = None
+        self._holds = ""  # digest of what the array holds
+        self.rate = self._rate = 0.0  # wanted, and told to the array
+        self.on_sample: Callable[[Sample], object] | None = None
+        self._spoilt = False  # and must be reset before the next frame
+        self._given_up = False  # nodes may still be at work on a frame that nobody waits for
+
+    def launch(self) -> None:
+        """Launch the array. Raises NoArray."""
+        self._holds, self._rate = "", 0.0
+        with self._launching():
+            self._array = Array(self.shape, **self._options)
+            self._array.begin()
+            # What a frame needs takes a second to import; the nursery warms up beside it.
+
+            self._array.wait_ready()
+
+    @contextlib.contextmanager
+    def _launching(self) -> Any:
+        """What goes wrong in this block leaves no array. Raises NoArray."""
+        try:
+            yield
+        except BaseException as error:
+            self.close()
+            if isinstance(error, RaygridError | OSError | MemoryError):
+                raise NoArray(f"the array cannot be launched: {error or 'out of memory'}") from error
+            raise
+
+    @property
+    def there(self) -> bool:
+        """Whether there is an array."""
+        return self._array is not None
+
+    @property
+    def pids(self) -> list[int]:
+        """Process ids of the nodes, x fastest; empty while there is no array. May be asked by any thread."""
+        array = self._array
+        return [] if array is None else list(array.pids)
+
+    @property
+    def epoch(self) -> int:
+        """How often the array was reset since it was launched. May be asked by any thread."""
+        array = self._array
+        return -1 if array is None else array.epoch
+
+    def check(self) -> None:
+        """Repair the array if it has failed while it had nothing to do, or is not there. Raises NoArray."""
+        if self._array is None:
+            self.launch()
+            return
+        try:
+            self._set_rate()
+            self._array.check()
+            if self._given_up:
+                self._settle()
+        except (ArrayError, ProtocolError) as error:
+            begun = time.perf_counter()
+            self.reset()
+            self._on_fault(f"{error}; it was idle, and repaired in {time.perf_counter() - begun:.2f} s")
+
+    def reset(self) -> None:
+        """Empty the array, whatever its state. Raises NoArray if that cannot be."""
+        self._holds, self._spoilt, self._given_up = "", False, False
+        if self._array is None:
+            self.launch()
+            return
+        with self._launching():
+            self._array.reset()
+
+    def render(self, ready: Ready, budget: int, watch: Watch) -> Picture:
+        """Render a frame, again if the array fails meanwhile. Raises RaygridError, and what `on_wait` raises."""
+        from raygrid.host.render.retry import render_steadily
+
+        if self._spoilt:  # a frame before was given up, or failed for good
+            self.reset()
+        elif self._array is None:
+            self.launch()
+        elif self._given_up:
+            self._settle()
+        assert self._array is not None
+        epoch = self._array.epoch
+        self._array.on_wait = self._wait
+        try:
+            loaded = self._holds == ready.loaded
+            watching = self._noting(ready, loaded, watch)
+            return render_steadily(self._array, ready.job, budget, watching, loaded, on_fault=self._tell)
+        except BaseException as error:
+            # The driver drops what is left of a frame that was given up; only a reset that was given up must be repeated.
+            failed = isinstance(error, ArrayError | ProtocolError) and not isinstance(error, TooLarge)
+            self._spoilt = failed or self._array.epoch != epoch
+            self._given_up = not isinstance(error, RaygridError)
+            raise
+        finally:
+            if self._array is not None:
+                self._array.on_wait = None
+
+    def _settle(self) -> None:
+        """Let the nodes drop a frame that was given up, or reset them if they do not: one may run a program that never
+        ends. Raises NoArray, and what `on_wait` raises."""
+        assert self._array is not None
+        self._array.on_wait = self._on_wait
+        try:
+            self._array.driver.settle(_settle_seconds(self.shape))
+            self._given_up = False
+        except (ArrayError, ProtocolError):
+            self._array.on_wait = None
+            self.reset()
+        finally:
+            if self._array is not None:
+                self._array.on_wait = None
+
+    def _wait(self) -> None:
+        self._set_rate()
+        self._on_wait()
+
+    def _set_rate(self) -> None:
+        if self._array is not None and self._rate != self.rate:
+            self._rate = self.rate
+            self._array.probe(self._rate, self.on_sample)
+
+    def _tell(self, fault: Fault) -> None:
+        self._on_fault(f"{fault.what}; repaired in {fault.seconds[1]:.2f} s, {fault.restarts} nodes forked anew")
+
+    def _noting(self, ready: Ready, loaded: bool, watch: Watch) -> Watch:
+        """A watch that notes when the surfaces are all there."""
+        if not loaded:
+            self._holds = ""
+
+        def noting(phase: str, progress: Progress | None) -> None:
+            if phase == "load":
+                self._count_load(ready)
+                self._holds = ""
+            elif phase == "trace" and progress is None:
+                self._holds = ready.loaded
+            watch(phase, progress)
+
+        return noting
+
+    def _count_load(self, ready: Ready) -> None:
+        from raygrid.host.render.frame import needs_increment
+
+        if self._array is not None and needs_increment(self._array.driver, ready.job):
+            self.increments += 1
+        else:
+            self.floods += 1
+
+    def close(self) -> None:
+        """End the array. May be called twice."""
+        array, self._array = self._array, None
+        given_up = self._given_up
+        self._holds, self._spoilt, self._given_up = "", False, False
+        if array is not None:
+            array.on_wait = None
+            if given_up:  # then it may not say goodbye either
+                with contextlib.suppress(RaygridError):
+                    array.driver.patience = _settle_seconds(self.shape)
+            with contextlib.suppress(RaygridError):
+                array.close()
+
+
+def _settle_seconds(shape: Shape) -> float:
+    """How long nodes may say nothing while they drop a frame; as long as a reset waits for them."""
+    return RESET_SECONDS + RESET_SECONDS_A_NODE * shape[0] * shape[1] * shape[2]

@@ -1,0 +1,76 @@
+"""One end of the line between the host and a node: the reset line on its way down, probe samples on their way up (law 9).
+
+A line is a pair of unix SOCK_SEQPACKET sockets, made when the node is forked. It has no name in the file system, so
+nobody but its two owners can speak on it. Words are msgpack maps. Neither end ever blocks: words for which there is
+no room are dropped and counted, and words that are none are refused and counted, never obeyed.
+"""
+
+from __future__ import annotations
+
+import socket
+from typing import Any
+
+from raygrid.node.errors import ProtocolError
+from raygrid.node.protocol.codec import pack_map, read_map
+
+LONGEST_WORDS = 1 << 16  # bytes
+
+
+class Line:
+    """One end of a line.
+
+    closed   nothing more can be said or heard: the other end is gone
+    dropped  words that were not sent, because there was no room
+    refused  what came and was no map, or too long
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self._socket = socket.socket(fileno=descriptor)
+        self._socket.setblocking(False)
+        self.closed = False
+        self.dropped = self.refused = 0
+
+    def fileno(self) -> int:
+        """The descriptor to poll; -1 after `close`."""
+        return self._socket.fileno()
+
+    def send(self, words: dict[str, Any]) -> bool:
+        """Say something now; False if there is no room, or nobody to hear it. Raises ProtocolError if it is too long."""
+        data = pack_map(words)
+        if len(data) > LONGEST_WORDS:
+            raise ProtocolError(f"words for a line have {len(data)} bytes, wanted at most {LONGEST_WORDS}")
+        if self.closed:
+            return False
+        try:
+            self._socket.send(data, socket.MSG_NOSIGNAL)
+        except BlockingIOError:
+            self.dropped += 1
+            return False
+        except OSError:  # the other end is gone: receive will find out, after what had come before
+            return False
+        return True
+
+    def receive(self) -> dict[str, Any] | None:
+        """The next words, None if there are none now or the line is closed."""
+        while not self.closed:
+            try:
+                data = self._socket.recv(LONGEST_WORDS + 1)
+            except BlockingIOError:
+                return None
+            except OSError:
+                data = b""
+            if not data:
+                self.closed = True
+            elif len(data) > LONGEST_WORDS:
+                self.refused += 1
+            else:
+                try:
+                    return read_map(data, "words")
+                except ProtocolError:
+                    self.refused += 1
+        return None
+
+    def close(self) -> None:
+        """Close this end. May be called twice."""
+        self.closed = True
+        self._socket.close()

@@ -1,0 +1,1 @@
+"""Defines every byte that travels: packets, messages, commands of waves, counters, timestamps."""

@@ -1,0 +1,141 @@
+"""What timed processes send beside the packets: ticks, promises and questions; and the cost model in a frame's order.
+
+    STAMPED   frame u32, promise i64, ticks i64 each, then the packets of 25 bytes
+    ENQUIRY   frame u32, answer u8, origin 3 x u16, number u32, tick i64, promise i64
+
+promise   nothing that is sent on this link after this message arrives before this tick
+answer    ASK, YES or NO (`node.timed.lookahead`); origin, number and tick are those of the question
+frame     the number of the wave that began the frame; what is left of another one is dropped
+
+Both wait for credit like all data, so that none overtakes another.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Any, NamedTuple, TypeGuard
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raygrid.node.errors import ProtocolError
+from raygrid.node.geometry.surfaces import Kind
+from raygrid.node.protocol.counters import COUNTS, SENT
+from raygrid.node.protocol.messages import HEAD
+from raygrid.node.protocol.packets import SIZE
+
+STAMP = struct.Struct("<Iq")
+ENQUIRY = struct.Struct("<IBHHHIqq")
+Long = NDArray[np.int64]
+MOST_TICKS = 10**12  # of one price; no sum of them leaves 64 bits
+NEVER = np.int64(1) << 62  # later than any tick
+LAST = int(NEVER)
+ASK, YES, NO = 0, 1, 2
+
+
+class Prices(NamedTuple):
+    """A cost model as kernels read it; all in ticks.
+
+    counts        int64 (COUNTS,): for each of the counts of a step
+    packet        for each packet served, 1 or more
+    transmit      a packet of 25 bytes on a link, 0 or more
+    latency       from the last byte sent until it can be served, 1 or more
+    by_processor  1: the processor moves the bytes, 0: the link
+    """
+
+    counts: Long
+    packet: int
+    transmit: int
+    latency: int
+    by_processor: int
+
+    @property
+    def lookahead(self) -> int:
+        """Nothing decided at tick t arrives anywhere before t + lookahead."""
+        return int(self.packet + self.counts[SENT] + self.transmit + self.latency)
+
+
+class Stamped(NamedTuple):
+    """A decoded STAMPED message; `at`: where its packets begin."""
+
+    frame: int
+    promise: int
+    ticks: Long
+    at: int
+
+
+class Enquiry(NamedTuple):
+    """A decoded ENQUIRY message."""
+
+    frame: int
+    answer: int
+    origin: tuple[int, int, int]
+    number: int
+    tick: int
+    promise: int
+
+
+def pack_stamped(frame: int, promise: int, ticks: Long, packets: bytes) -> bytes:
+    """The payload of a STAMPED message."""
+    return STAMP.pack(frame, promise) + ticks.astype("<i8", copy=False).tobytes() + packets
+
+
+def read_stamped(message: bytes, count: int) -> Stamped:
+    """Decode a STAMPED message of `count` packets. Raises ProtocolError for wrong lengths, or ticks out of order."""
+    expected = HEAD + STAMP.size + count * (8 + SIZE)
+    if len(message) != expected or count == 0:
+        raise ProtocolError(
+            f"{count} packets with ticks came in {len(message)} bytes, wanted {expected}, and at least one"
+        )
+    frame, promise = STAMP.unpack_from(message, HEAD)
+    ticks = np.frombuffer(message, "<i8", count, HEAD + STAMP.size).astype(np.int64)
+    if not 0 <= promise <= LAST or np.any(np.diff(ticks) < 0) or ticks[0] < 0 or ticks[-1] >= LAST:
+        raise ProtocolError(f"{count} packets came with the promise {promise} and ticks that do not ascend from 0")
+    return Stamped(frame, promise, ticks, HEAD + STAMP.size + 8 * count)
+
+
+def pack_enquiry(enquiry: Enquiry) -> bytes:
+    """The payload of an ENQUIRY message."""
+    return ENQUIRY.pack(enquiry.frame, enquiry.answer, *enquiry.origin, *enquiry[3:])
+
+
+def read_enquiry(message: bytes) -> Enquiry:
+    """Decode an ENQUIRY message. Raises ProtocolError."""
+    if len(message) != HEAD + ENQUIRY.size:
+        raise ProtocolError(f"an enquiry came with {len(message) - HEAD} bytes, wanted {ENQUIRY.size}")
+    frame, answer, x, y, z, number, tick, promise = ENQUIRY.unpack_from(message, HEAD)
+    if answer > NO or not (0 <= tick <= LAST and 0 <= promise <= LAST):
+        raise ProtocolError(f"an enquiry came with answer {answer}, tick {tick} and promise {promise}")
+    return Enquiry(frame, answer, (x, y, z), number, tick, promise)
+
+
+def prices_order(prices: Prices, tests: Long) -> dict[str, Any]:
+    """What the order of a frame carries for timed processes. tests int64 (6,): of a list, 0 for a tree."""
+    return {
+        "prices": prices.counts.astype("<i8").tobytes(),
+        "tests": [int(ticks) for ticks in tests],
+        "costs": [int(prices.packet), int(prices.transmit), int(prices.latency), int(prices.by_processor)],
+    }
+
+
+def read_prices(order: dict[str, Any]) -> tuple[Prices, Long] | None:
+    """(prices, ticks of a list's tests) of the order of a frame; None if it is not timed. Raises ProtocolError."""
+    if "prices" not in order:
+        return None
+    table, tests, costs = order["prices"], order.get("tests", []), order.get("costs", [])
+    if not isinstance(table, bytes) or len(table) != 8 * COUNTS:
+        raise ProtocolError(f"prices came that are not {COUNTS} numbers")
+    counts = np.frombuffer(table, "<i8").astype(np.int64)
+    if np.any(counts < 0) or np.any(counts > MOST_TICKS):
+        raise ProtocolError(f"prices came from {counts.min()} to {counts.max()}, wanted 0 to {MOST_TICKS} ticks")
+    if not _numbers(tests, len(Kind)) or not _numbers(costs, 4) or costs[0] < 1 or costs[2] < 1 or costs[3] > 1:
+        raise ProtocolError(
+            f"costs came as {costs!r} and tests as {tests!r}, wanted ticks, packet and latency 1 or more"
+        )
+    return Prices(counts, costs[0], costs[1], costs[2], costs[3]), np.array(tests, np.int64)
+
+
+def _numbers(value: Any, count: int) -> TypeGuard[list[int]]:
+    return (
+        isinstance(value, list) and len(value) == count and all(type(x) is int and 0 <= x <= MOST_TICKS for x in value)
+    )

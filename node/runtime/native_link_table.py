@@ -1,0 +1,100 @@
+"""The links that compiled code serves (`node.runtime.event_loop`), as Python sees them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
+from raygrid.node.links import zmq_c_api
+from raygrid.node.links.link import REGULAR, SOCKET, Link
+from raygrid.node.links.zmq_channel import Pair
+from raygrid.node.runtime.event_loop import OTHER
+from raygrid.node.runtime.native_links import TIMED, no_wires
+from raygrid.node.runtime.reduction import CHILDREN, OCCUPIED, PARENT, SERVED, Tally
+
+
+class Wired:
+    """Links over PAIR sockets of this process.
+
+    wires   their tables, for `rounds.go`
+    """
+
+    def __init__(
+        self,
+        links: Mapping[int, Link],
+        pairs: Mapping[int, Pair],
+        tally: Tally,
+        others: Iterable[int] = (),
+        timed: bool = False,
+    ) -> None:
+        """Take over the books of the links whose channels are these pairs.
+
+        tally  of the node; others  descriptors for which a node waits as well; timed  let the rounds be timed
+        """
+        self.wires = no_wires(tally)
+        self._links: dict[int, Link] = {}
+        self._pairs = pairs
+        self._message: zmq_c_api.Message | None = None
+        calls = zmq_c_api.find_functions()
+        if calls is None:
+            return
+        self.wires.calls[:] = calls
+        self.wires.spent[TIMED] = timed
+        self._message = zmq_c_api.Message(self.wires.calls)
+        for port, link in links.items():
+            if link.channel is pairs.get(port):
+                link.keep_book(self.wires.books[port])
+                self.wires.books[port, SOCKET] = pairs[port].socket.underlying
+                self._links[port] = link
+        items = zmq_c_api.poll_items([int(pair.socket.underlying) for pair in pairs.values()], others)
+        ports = [port if port in self._links else -1 for port in pairs]
+        self.wires = self.wires._replace(
+            items=items, ports=np.array(ports + [-1] * (len(items) - len(ports)), np.int64)
+        )
+
+    def begin(self, tallies: bool, occupied: bool) -> None:
+        """Before rounds: mark the links that are regular, and whether compiled code may take care of tallies.
+
+        tallies   whether Python leaves them to it, if their links are regular; occupied  as in `Tally`
+        """
+        regular = 0
+        for port, link in self._links.items():
+            self.wires.books[port, REGULAR] = link.regular
+            regular |= link.regular << port
+        state = self.wires.tally.state
+        wanted = int(state[CHILDREN]) | 1 << int(state[PARENT])
+        state[SERVED], state[OCCUPIED] = tallies and regular & wanted == wanted, occupied
+
+    def end(self, why: int) -> int | None:
+        """After rounds that ended for this reason: the port of a link of which Python must receive, if there is one."""
+        for link in self._links.values():
+            link.grant(0)  # credit that could not be told
+        if why < OTHER:
+            return None
+        assert self._message is not None
+        port = why - OTHER
+        self._pairs[port].put_back(self._message.copy(), self._message.has_more)
+        return port
+
+    @property
+    def is_on(self) -> bool:
+        """Whether compiled code serves any link."""
+        return bool(self._links)
+
+    def keeps(self, port: int) -> bool:
+        """Whether the book of a link is one of the tables."""
+        return port in self._links
+
+    def serves(self, port: int) -> bool:
+        """Whether compiled code would receive what comes at a port now."""
+        link = self._links.get(port)
+        return link is not None and link.regular
+
+    def close(self) -> None:
+        """Serve no link any more."""
+        self._links = {}
+        self.wires.books[:, REGULAR] = 0
+        if self._message is not None:
+            self._message.close()
+            self._message = None

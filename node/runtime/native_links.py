@@ -1,0 +1,96 @@
+"""What compiled code needs to serve links (`node.runtime.event_loop`): their books, the functions that it calls, and how it posts.
+
+A link's book (`node.links.link`) is a row of `Wires.books`, so that both keep the same accounts.
+"""
+
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
+# kernels: numba infers their types
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raygrid.node.geometry.grid_walk import PORTS
+from raygrid.node.jit.decorators import part
+from raygrid.node.jit.intrinsics import address, call_int, call_long
+from raygrid.node.links import zmq_c_api
+from raygrid.node.links.link import BOOK, BYTES_SENT, DATA_DONE, DATA_DONE_TOLD, EPOCH, MESSAGES_SENT, SENT, SOCKET
+from raygrid.node.links.zmq_channel import NOBLOCK
+from raygrid.node.protocol.messages import HEAD, SUMMED
+from raygrid.node.protocol.packets import write
+from raygrid.node.runtime.reduction import Tally, make_tally
+
+LINKS = PORTS + 1  # to neighbours and, of a corner, to the host
+# places in Wires.spent: nanoseconds of the parts of a round, room for what a clock says, whether rounds are timed
+RECEIVING, TURNING, SENDING = 0, 1, 2
+SECONDS, NANOSECONDS, TIMED, SPENT = 3, 4, 5, 6
+MONOTONIC, OF_THREAD = 1, 3  # clocks of `clock_gettime`
+BILLION = 1_000_000_000
+
+
+class Wires(NamedTuple):
+    """What compiled code needs to serve links.
+
+    books   int64 (LINKS, BOOK): the books of the links; those without a socket are left to Python
+    calls   int64 (native.ADDRESSES,)
+    spent   int64 (SPENT,): nanoseconds of receiving, turns and sending, if rounds are timed
+    header  uint8 (HEAD,): room for a header
+    items   int64 (n, 2): all that a node waits for (`native.poll_items`), sockets of links first
+    ports   int64 (n,): the ports of these, -1 for what Python looks after
+    tally   the tally that is under way
+    """
+
+    books: NDArray[np.int64]
+    calls: NDArray[np.int64]
+    spent: NDArray[np.int64]
+    header: NDArray[np.uint8]
+    items: NDArray[np.int64]
+    ports: NDArray[np.int64]
+    tally: Tally
+
+
+def no_wires(tally: Tally | None = None) -> Wires:
+    """Of a node whose links are served by Python alone."""
+    books, calls, spent = (
+        np.zeros((LINKS, BOOK), np.int64),
+        np.zeros(zmq_c_api.ADDRESSES, np.int64),
+        np.zeros(SPENT, np.int64),
+    )
+    nothing = np.zeros(HEAD, np.uint8), np.zeros((0, 2), np.int64), np.zeros(0, np.int64)
+    return Wires(books, calls, spent, *nothing, make_tally() if tally is None else tally)
+
+
+@part
+def clock(wires, which):
+    """Nanoseconds by one of the clocks of `clock_gettime`."""
+    call_int(wires.calls[zmq_c_api.CLOCK], (np.int64(which), address(wires.spent, np.int64(SECONDS))))
+    return wires.spent[SECONDS] * BILLION + wires.spent[NANOSECONDS]
+
+
+@part
+def checksum(wires, first, size):
+    """The checksum of a message (`node.protocol.messages`) from its first address on."""
+    seed = call_long(wires.calls[zmq_c_api.CHECKSUM], (first, np.int64(SUMMED), np.int64(0)))
+    return call_long(wires.calls[zmq_c_api.CHECKSUM], (first + HEAD, size - HEAD, seed)) & 0xFFFFFFFF
+
+
+@part
+def post(wires, book, kind, count, raw, at, size):
+    """Write the header of a message of `size` bytes that begins at `at`, and send it; whether it went."""
+    raw[at], raw[at + 1] = kind, 0
+    write(raw, at + 2, book[EPOCH], 2)
+    write(raw, at + 4, book[SENT], 4)
+    write(raw, at + 8, book[DATA_DONE], 4)
+    write(raw, at + 12, count, 4)
+    first = address(raw, np.int64(at))
+    write(raw, at + SUMMED, checksum(wires, first, size), 4)
+    if call_int(wires.calls[zmq_c_api.SEND], (book[SOCKET], first, size, np.int64(NOBLOCK))) < 0:
+        return False
+    book[SENT] += 1
+    book[DATA_DONE_TOLD] = book[DATA_DONE]
+    book[MESSAGES_SENT] += 1
+    book[BYTES_SENT] += size
+    return True

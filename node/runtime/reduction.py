@@ -1,0 +1,224 @@
+"""Tallies: the waves of a trace, in a form of which compiled code can take care (`node.runtime.event_loop`).
+
+A tally goes down the tree of a wave as a row of int64, and its answer comes back as another:
+
+    TALLY    number of the wave, quota, hold (nanoseconds), gather, nap (microseconds), flush
+    TALLIED  number of the wave, sums
+
+How a tally stands in a node is kept in arrays that Python and compiled code both read and write, so that each can go on
+with what the other has begun (`node.runtime.reduction_replies` is what Python does).
+"""
+
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
+# kernels: numba infers their types
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raygrid.node.errors import ProtocolError
+from raygrid.node.jit.decorators import part
+from raygrid.node.protocol.counters import COUNTS
+from raygrid.node.protocol.messages import HEAD
+from raygrid.node.protocol.packets import read_u64
+from raygrid.node.tracing.primaries import DONE
+
+# sums of a wave: the counts of node.tables, then these
+HOMES_LEFT, WAITING, RECEIVED, HANDED_ON, COLLECTING, REFUSED, ALLOWED, DATA_SENT, DATA_DONE = range(COUNTS, COUNTS + 9)
+SUMS = COUNTS + 9
+
+# fields of a TALLY
+NUMBER, QUOTA, HOLD, GATHER, NAP, FLUSH = range(6)
+ORDER = 6
+WORD = 8  # bytes of a field
+ORDER_BYTES, ANSWER_BYTES = ORDER * WORD, (1 + SUMS) * WORD
+
+# places in Tally.state
+PENDING = 0  # whether one is under way here
+CURRENT = 1  # its number
+DEADLINE = 2  # when it is answered although the node is busy, in nanoseconds of the monotonic clock
+HEARD, UNTOLD = 3, 4  # a bit a port: children that have answered, children that are still to be told
+FRESH = 5  # whether what it orders is still to be done
+SERVED = 6  # whether compiled code may take care of it now
+OCCUPIED = 7  # whether the node has something to do of which compiled code knows nothing
+PARENT, CHILDREN = 8, 9  # port; a bit a port
+STATE = 10
+
+MOST_QUOTA, MOST_HOLD, MOST_NAP, MOST_PACKETS = 2**32 - 1, 60 * 10**9, 10**6, 2**31
+
+
+class Tally(NamedTuple):
+    """How a tally stands in a node.
+
+    state  int64 (STATE,)
+    order  int64 (ORDER,), what came from the parent
+    sums   int64 (SUMS,), of the children that have answered
+    known  int64 (SUMS,), of this node's own sums what compiled code does not know
+    room   uint8, for a message
+    """
+
+    state: NDArray[np.int64]
+    order: NDArray[np.int64]
+    sums: NDArray[np.int64]
+    known: NDArray[np.int64]
+    room: NDArray[np.uint8]
+
+
+def make_tally(parent: int = 0, children: tuple[int, ...] = ()) -> Tally:
+    """None is under way."""
+    tally = Tally(
+        np.zeros(STATE, np.int64),
+        np.zeros(ORDER, np.int64),
+        np.zeros(SUMS, np.int64),
+        np.zeros(SUMS, np.int64),
+        np.zeros(HEAD + max(ORDER_BYTES, ANSWER_BYTES), np.uint8),
+    )
+    tally.state[PARENT] = parent
+    tally.state[CHILDREN] = sum(1 << port for port in children)
+    return tally
+
+
+# --- in Python -----------------------------------------------------------------------------------------
+
+
+def pack_tally(number: int, order: dict[str, Any]) -> bytes | None:
+    """The order `trace` as a TALLY; None if it cannot be one, and must go as a map, to be refused by the nodes."""
+    quota, gather, flush = order.get("quota"), order.get("gather", 0), order.get("flush")
+    hold, linger = order.get("hold", 0.0), order.get("linger", 0.0)
+    if not (type(quota) is int and type(gather) is int and type(flush) is int):
+        return None
+    if not (isinstance(hold, float) and isinstance(linger, float) and 0.0 <= hold <= 60.0 and 0.0 <= linger <= 1.0):
+        return None
+    fields = number, quota, int(hold * 1e9), gather, int(linger * 1e6), flush
+    return np.array(fields, "<i8").tobytes() if _is_sound(fields) else None
+
+
+def read_tally(message: bytes) -> list[int]:
+    """The fields of a TALLY. Raises ProtocolError."""
+    if len(message) != HEAD + ORDER_BYTES:
+        raise ProtocolError(f"a tally came with {len(message) - HEAD} bytes, wanted {ORDER_BYTES}")
+    fields: list[int] = np.frombuffer(message, "<i8", ORDER, HEAD).tolist()
+    if not _is_sound(fields):
+        raise ProtocolError(f"a tally came with {fields}, wanted number, quota, hold, gather, nap and flush in range")
+    return fields
+
+
+def _is_sound(fields: Any) -> bool:
+    _, quota, hold, gather, nap, flush = fields
+    return bool(
+        0 <= quota <= MOST_QUOTA
+        and 0 <= hold <= MOST_HOLD
+        and 0 <= gather <= MOST_PACKETS
+        and 0 <= nap <= MOST_NAP
+        and 1 <= flush <= MOST_PACKETS
+    )
+
+
+def pack_tallied(number: int, sums: NDArray[np.int64]) -> bytes:
+    """The answer to a tally."""
+    return np.concatenate(([number], sums)).astype("<i8").tobytes()
+
+
+def read_tallied(message: bytes) -> tuple[int, NDArray[np.int64]]:
+    """(number, sums) of an answer to a tally. Raises ProtocolError."""
+    if len(message) != HEAD + ANSWER_BYTES:
+        raise ProtocolError(f"an answer to a tally came with {len(message) - HEAD} bytes, wanted {ANSWER_BYTES}")
+    numbers = np.frombuffer(message, "<i8", 1 + SUMS, HEAD).astype(np.int64)
+    return int(numbers[0]), numbers[1:]
+
+
+# --- in compiled code ----------------------------------------------------------------------------------
+
+
+@part
+def read_word(raw, place):
+    """A field of a message, int64."""
+    return read_u64(raw, HEAD + place * WORD)
+
+
+@part
+def put_word(raw, place, value):
+    """Write a field of a message."""
+    at = HEAD + place * WORD
+    for k in range(WORD):
+        raw[at + k] = np.uint8((value >> (8 * k)) & 0xFF)
+
+
+@part
+def may_begin(tally, port, raw):
+    """Whether a message, as long as a TALLY, is one that this code can take care of."""
+    state = tally.state
+    if state[SERVED] == 0 or state[PENDING] != 0 or port != state[PARENT]:
+        return False
+    quota, hold, gather = read_word(raw, QUOTA), read_word(raw, HOLD), read_word(raw, GATHER)
+    nap, flush = read_word(raw, NAP), read_word(raw, FLUSH)
+    times = (hold >= 0) & (hold <= MOST_HOLD) & (nap >= 0) & (nap <= MOST_NAP)
+    packets = (gather >= 0) & (gather <= MOST_PACKETS) & (flush >= 1) & (flush <= MOST_PACKETS)
+    return times & packets & (quota >= 0) & (quota <= MOST_QUOTA)
+
+
+@part
+def begin_here(tally, raw, now):
+    """As `tallies.Tallies.begin`; what it orders is still to be done."""
+    state = tally.state
+    for k in range(ORDER):
+        tally.order[k] = read_word(raw, k)
+    state[PENDING], state[CURRENT], state[HEARD], state[UNTOLD] = 1, tally.order[NUMBER], 0, state[CHILDREN]
+    state[DEADLINE], state[FRESH] = now + tally.order[HOLD], 1
+    for k in range(SUMS):
+        tally.sums[k] = 0
+
+
+@part
+def may_hear(tally, port, raw):
+    """Whether a message, as long as a TALLIED, is one that is waited for."""
+    state = tally.state
+    if state[SERVED] == 0 or state[PENDING] == 0 or (state[CHILDREN] >> port) & 1 == 0:
+        return False
+    return (state[HEARD] >> port) & 1 == 0 and read_word(raw, 0) == state[CURRENT]
+
+
+@part
+def hear_here(tally, port, raw):
+    """As `tallies.Tallies.hear`."""
+    for k in range(SUMS):
+        tally.sums[k] += read_word(raw, 1 + k)
+    tally.state[HEARD] |= 1 << port
+
+
+@part
+def waits_for_node(tally):
+    """Whether one is under way that this code serves, and that waits for nobody but this node."""
+    state = tally.state
+    return state[PENDING] != 0 and state[SERVED] != 0 and state[UNTOLD] == 0 and state[HEARD] == state[CHILDREN]
+
+
+@part
+def put_answer(tally, quota, cursor, held, outputs, counts, data_sent, data_done):
+    """Write the answer into `room`: the children's sums and this node's own.
+
+    data_sent, data_done  messages of the links that this code serves; those of others are known
+    """
+    waiting = held[0] + held[1] + held[2]
+    for k in range(len(outputs.held)):
+        waiting += outputs.held[k]
+    left = np.int64(cursor[DONE] == 0)
+    put_word(tally.room, 0, tally.state[CURRENT])
+    for k in range(SUMS):
+        value = tally.sums[k] + tally.known[k]
+        if k < COUNTS:
+            value += counts[k]
+        elif k == HOMES_LEFT:
+            value += left
+        elif k == WAITING:
+            value += waiting
+        elif k == ALLOWED:
+            value += left * quota
+        elif k == DATA_SENT:
+            value += data_sent
+        elif k == DATA_DONE:
+            value += data_done
+        put_word(tally.room, 1 + k, value)

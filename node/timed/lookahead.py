@@ -1,0 +1,153 @@
+"""How far a node may go: questions to its neighbours, and theirs to it.
+
+Null messages alone (Chandy and Misra; Bryant) make idle neighbours push each other's promises forward by a lookahead
+at a time, which takes thousands of messages where one node has work and the others have none. So a promise here comes
+as the answer to a question, and the answer knows who asks.
+
+A node that may not decide yet at tick T asks those neighbours whose promises end at T or before: "will anything arrive
+here at T or before, if I send nothing more?" A node h hops away from the origin of a question can only matter by a
+decision at T - h * lookahead or before, its limit. It
+
+    - waits until its own next decision, as far as it is known, lies behind its limit,
+    - asks those of its other neighbours whose promises do not reach behind its limit,
+    - answers YES when they have, or NO if it has meanwhile decided something before its limit after all.
+
+A question that comes by a second way is answered YES at once: the origin waits for the first answer anyway. If all
+answers are YES nothing arrives at the origin at T or before. Why: the earliest decision that contradicts would have
+been brought about by a packet from a neighbour, decided before the neighbour's own limit: then that neighbour was
+not yet part of the question, but its answer came after the packet on the same link, and the packet was seen; or it
+was, and answered NO. The node whose next decision is the earliest of all finds nobody who must wait, so somebody can
+always go on. On NO the origin asks again, but then somebody has gone on.
+
+This is the carrier of a null message (W. Cai and S. J. Turner, "An algorithm for distributed discrete-event simulation:
+the carrier null message approach", 1990) in a grid, where all ways round are known beforehand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from raygrid.node.protocol.timestamps import ASK, LAST, NO, YES, Enquiry
+
+Index = tuple[int, int, int]
+Post = Callable[[int, Enquiry], None]
+
+
+@dataclass
+class Engagement:
+    """A question of another node that this one takes part in. limit: see the module."""
+
+    number: int
+    tick: int
+    limit: int
+    parent: int
+    waiting: set[int]
+    failed: bool = False
+    answered: bool = False
+
+
+@dataclass
+class Enquiries:
+    """All questions that a node has to do with, in one frame.
+
+    ports    of the neighbours
+    post     sends an enquiry by a port; its promise is filled in there
+    decision the node's next decision as far as it is known (`node.timed.service_clock.decides`)
+    bound    of each port: nothing arrives by it before this tick
+    """
+
+    index: Index
+    frame: int
+    lookahead: int
+    ports: list[int]
+    post: Post
+    decision: Callable[[], int]
+    bound: dict[int, int]
+    number: int = 0
+    tick: int = -1  # of the own question that is not answered yet
+    waiting: set[int] = field(default_factory=set)
+    failed: bool = False
+    held: list[tuple[int, Enquiry]] = field(default_factory=list)
+    engaged: dict[Index, Engagement] = field(default_factory=dict)
+
+    def horizon(self) -> int:
+        """Nothing that is not here can arrive before this tick."""
+        return min(self.bound.values(), default=LAST)
+
+    def ask(self, tick: int) -> None:
+        """The node may not decide yet at this tick: ask, unless it has done so."""
+        if tick == self.tick:
+            return
+        self.number += 1
+        self.tick, self.failed = tick, False
+        self.waiting = {port for port in self.ports if self.bound[port] <= tick}
+        for port in self.waiting:
+            self.post(port, Enquiry(self.frame, ASK, self.index, self.number, tick, 0))
+
+    def take(self, port: int, enquiry: Enquiry) -> None:
+        """A question or an answer came by a port."""
+        if enquiry.answer == ASK:
+            self.held.append((port, enquiry))
+            return
+        if enquiry.origin == self.index:
+            self._own_answer(port, enquiry)
+            return
+        found = self.engaged.get(enquiry.origin)
+        if found is not None and found.number == enquiry.number and port in found.waiting:
+            found.waiting.discard(port)
+            found.failed = found.failed or enquiry.answer == NO
+            self._maybe_answer(enquiry.origin, found)
+
+    def _own_answer(self, port: int, enquiry: Enquiry) -> None:
+        if enquiry.number != self.number or port not in self.waiting:
+            return
+        self.waiting.discard(port)
+        self.failed = self.failed or enquiry.answer == NO
+        if self.waiting:
+            return
+        if not self.failed:
+            for other in self.ports:
+                self.bound[other] = max(self.bound[other], self.tick + 1)
+        self.tick = -1
+
+    def decided(self, first: int) -> None:
+        """The node has carried out decisions, the first at this tick."""
+        for found in self.engaged.values():
+            if not found.answered and first <= found.limit:
+                found.failed = True
+        if self.tick >= 0 and first <= self.tick:
+            self.tick, self.number = -1, self.number + 1  # what is answered now is answered to nobody
+
+    def turn(self) -> None:
+        """Take part in the questions that came, as far as the node's own next decision allows."""
+        held, self.held = self.held, []
+        for port, enquiry in held:
+            self._consider(port, enquiry)
+
+    def _consider(self, port: int, enquiry: Enquiry) -> None:
+        found = self.engaged.get(enquiry.origin)
+        if enquiry.origin == self.index or (found is not None and found.number == enquiry.number):
+            self.post(port, enquiry._replace(answer=YES))
+            return
+        if found is not None and (found.number - enquiry.number) & 0xFFFFFFFF < 1 << 31:
+            self.post(port, enquiry._replace(answer=NO))  # the origin asks something else by now
+            return
+        hops = sum(abs(here - there) for here, there in zip(self.index, enquiry.origin, strict=True))
+        limit = enquiry.tick - hops * self.lookahead
+        if self.decision() <= limit:
+            self.held.append((port, enquiry))
+            return
+        waiting = {other for other in self.ports if other != port and self.bound[other] <= limit}
+        engagement = Engagement(enquiry.number, enquiry.tick, limit, port, waiting)
+        self.engaged[enquiry.origin] = engagement
+        for other in waiting:
+            self.post(other, enquiry)
+        self._maybe_answer(enquiry.origin, engagement)
+
+    def _maybe_answer(self, origin: Index, found: Engagement) -> None:
+        if found.waiting or found.answered:
+            return
+        found.answered = True
+        sure = not found.failed and self.decision() > found.limit
+        self.post(found.parent, Enquiry(self.frame, YES if sure else NO, origin, found.number, found.tick, 0))

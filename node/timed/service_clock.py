@@ -1,0 +1,318 @@
+"""Machine time: how one processor spends its ticks. Shared by the simulator and the timed processes (law 10).
+
+A processor serves one packet at a time, in the order (tick of arrival, port, sequence). It decides what to do next
+at the tick at which it is free, and sees then what has arrived up to and at that tick. If no packet waits it bears its
+next primary ray, if it has one left; if it has none it waits for the next arrival. What a service costs follows from
+the counts of the ray step (`node.geometry.surface_tables`) and a cost model (`Prices`).
+
+A link sends one packet at a time, first come first served. `by_processor`: the processor moves the bytes of one packet
+after the other itself and is busy meanwhile; else each link moves its own while the processor goes on. Then a packet
+is under way for the link's latency. So arrivals by one port come in the order of their ticks, a port is a queue of its
+own, and the order of a node's services depends on nothing but ticks: neither on who runs first nor on wall time.
+
+Packets that start in this node (shadow rays, then other rays) arrive by port SELF at the tick at which their birth
+ends. A decision at tick t may be carried out once nothing can arrive any more at t or before; whatever it sends
+arrives at t + `Prices.lookahead` or later.
+
+Records of packets lie in one store of 48 bytes each: tick of arrival, number of the next one in its queue, the
+25 bytes, the port, the hops so far. Queues are lists in it, so a node that holds nothing needs one row of `nodes`.
+"""
+
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
+# kernels: numba infers their types
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raygrid.node.geometry.grid_walk import HOST, PORTS, SELF, SELF_RAYS
+from raygrid.node.jit.decorators import lean, part
+from raygrid.node.protocol.counters import BORN, COUNTS, DIED, SENT, WALKS
+from raygrid.node.protocol.messages import HEAD
+from raygrid.node.protocol.packets import KINDS, PRIMARY, SIZE, copy_packet
+from raygrid.node.protocol.timestamps import NEVER
+from raygrid.node.tracing.primaries import DONE, bear_primaries
+from raygrid.node.tracing.step import step_one
+
+Long = NDArray[np.int64]
+
+# a record of the store: words of 8 bytes, and the same memory as bytes
+WORDS = 6
+TICK, NEXT, PACKET = 0, 1, 16  # words, words, bytes
+PORT_AT, HOPS_AT, RECORD = PACKET + SIZE, PACKET + SIZE + 1, 8 * WORDS
+MOST_HOPS = 65535
+
+# columns of a node's row
+OWN, READY = 6, 7  # queues: one for each port, then what starts here, then what has arrived, in order of service
+FIRST_SLOT, LAST_SLOT, FIRST_TICK = 0, 8, 16  # of each queue: numbers of records (-1: empty), tick of the first
+FREE = 24  # tick at which the node decides next
+LINK_FREE = 25  # of each output: tick at which its link has sent all
+BUSY, SERVED, WAITED, WAITING, MOST_WAITING = 32, 33, 34, 35, 36
+ENDED = 37  # tick at which the last service ended
+TRACE = 38  # digest of all services
+LIST_TICKS = 39  # what a walk costs beside its price: tests of every surface held, if a list is searched
+PACKETS_SENT = 40  # by each port and to the host
+NEXT_BIRTH, LAST_BIRTH = 47, 48  # the simulator's place in the list of samples
+WAKE, BEFORE, AFTER = 49, 50, 51  # the simulator's wheel
+WALKED = 52  # rays walked through the cell
+FIELDS = 53
+
+
+class Timed(NamedTuple):
+    """Queues and clocks of n nodes.
+
+    nodes   int64 (n, FIELDS)
+    words   int64 (records * WORDS,); bytes: uint8, the same memory
+    spare   int64 (2,): first free record, how many are free
+    """
+
+    nodes: Long
+    words: Long
+    bytes: NDArray[np.uint8]
+    spare: Long
+
+
+def make_timed(n: int, room: int) -> Timed:
+    """Empty queues, all clocks at 0, with room for so many packets."""
+    nodes = np.zeros((n, FIELDS), np.int64)
+    nodes[:, FIRST_SLOT : FIRST_SLOT + 16] = -1
+    nodes[:, FIRST_TICK : FIRST_TICK + 8] = NEVER
+    nodes[:, WAKE] = -1
+    words = np.zeros(room * WORDS, np.int64)
+    words[NEXT::WORDS] = np.arange(1, room + 1)
+    return Timed(nodes, words, words.view(np.uint8), np.array([0, room], np.int64))
+
+
+def grown(timed: Timed, room: int) -> Timed:
+    """The same with room for so many packets, more than before."""
+    before = len(timed.words) // WORDS
+    words = np.zeros(room * WORDS, np.int64)
+    words[: len(timed.words)] = timed.words
+    new = np.arange(before, room)
+    words[WORDS * new + NEXT] = np.append(new[1:], timed.spare[0])
+    spare = np.array([before, timed.spare[1] + room - before], np.int64)
+    return Timed(timed.nodes, words, words.view(np.uint8), spare)
+
+
+@part
+def put(timed, node, queue, tick, port, hops, source, at):
+    """Append the 25 bytes at `at` to a queue of a node. There must be a free record."""
+    slot = timed.spare[0]
+    word, byte = slot * WORDS, slot * RECORD
+    timed.spare[0] = timed.words[word + NEXT]
+    timed.spare[1] -= 1
+    timed.words[word + TICK] = tick
+    timed.words[word + NEXT] = -1
+    copy_packet(source, at, timed.bytes, byte + PACKET)
+    timed.bytes[byte + PORT_AT] = np.uint8(port)
+    timed.bytes[byte + HOPS_AT] = np.uint8(hops & 0xFF)
+    timed.bytes[byte + HOPS_AT + 1] = np.uint8(hops >> 8)
+    if timed.nodes[node, FIRST_SLOT + queue] < 0:
+        timed.nodes[node, FIRST_SLOT + queue] = slot
+        timed.nodes[node, FIRST_TICK + queue] = tick
+    else:
+        timed.words[timed.nodes[node, LAST_SLOT + queue] * WORDS + NEXT] = slot
+    timed.nodes[node, LAST_SLOT + queue] = slot
+
+
+@part
+def give_back(timed, slot):
+    """Let a record be used again."""
+    timed.words[slot * WORDS + NEXT] = timed.spare[0]
+    timed.spare[0] = slot
+    timed.spare[1] += 1
+
+
+@part
+def earliest(timed, node):
+    """Tick of the earliest packet in the queues of the ports, NEVER if there is none."""
+    first = NEVER
+    for queue in range(READY):
+        first = min(first, timed.nodes[node, FIRST_TICK + queue])
+    return first
+
+
+@part
+def gather(timed, node, tick):
+    """Move what has arrived up to and at `tick` to the queue of service, in the order (tick, port, sequence)."""
+    while True:
+        best, chosen = tick + 1, -1
+        for queue in range(READY):  # SELF comes last: its queue is behind those of the ports
+            if timed.nodes[node, FIRST_TICK + queue] < best:
+                best, chosen = timed.nodes[node, FIRST_TICK + queue], queue
+        if chosen < 0:
+            break
+        slot = timed.nodes[node, FIRST_SLOT + chosen]
+        after = timed.words[slot * WORDS + NEXT]
+        timed.nodes[node, FIRST_SLOT + chosen] = after
+        timed.nodes[node, FIRST_TICK + chosen] = timed.words[after * WORDS + TICK] if after >= 0 else NEVER
+        timed.words[slot * WORDS + NEXT] = -1
+        if timed.nodes[node, FIRST_SLOT + READY] < 0:
+            timed.nodes[node, FIRST_SLOT + READY] = slot
+        else:
+            timed.words[timed.nodes[node, LAST_SLOT + READY] * WORDS + NEXT] = slot
+        timed.nodes[node, LAST_SLOT + READY] = slot
+        timed.nodes[node, WAITING] += 1
+    timed.nodes[node, MOST_WAITING] = max(timed.nodes[node, MOST_WAITING], timed.nodes[node, WAITING])
+
+
+@part
+def take(timed, node, tick):
+    """The record of the packet that is served next, at `tick`; one must wait."""
+    slot = timed.nodes[node, FIRST_SLOT + READY]
+    timed.nodes[node, FIRST_SLOT + READY] = timed.words[slot * WORDS + NEXT]
+    timed.nodes[node, WAITING] -= 1
+    timed.nodes[node, WAITED] += tick - timed.words[slot * WORDS + TICK]
+    return slot
+
+
+@part
+def _mix(digest, word):
+    digest = (digest ^ word) * np.int64(0x100000001B3)
+    return digest ^ (digest >> 29)
+
+
+@part
+def _note(timed, node, tick, end):
+    """Keep the books of a service from tick to end."""
+    timed.nodes[node, BUSY] += end - tick
+    timed.nodes[node, SERVED] += 1
+    timed.nodes[node, FREE] = end
+    timed.nodes[node, ENDED] = end
+    timed.nodes[node, TRACE] = _mix(_mix(timed.nodes[node, TRACE], tick), end)
+
+
+@part
+def serve(timed, node, slot, tick, cell, space, frame, surfaces, pixels, outputs, counts, prices):
+    """Serve the packet of a record from `tick` on; returns the tick at which the first byte can be sent.
+
+    `counts` are those of this service alone. What starts here is put into the node's own queue; what is sent lies on
+    the outputs, to be given its ticks by `arrival`.
+    """
+    byte, word = slot * RECORD, slot * WORDS
+    port = np.int64(timed.bytes[byte + PORT_AT])
+    digest = timed.nodes[node, TRACE]
+    for k in range(3):
+        digest = _mix(digest, timed.words[word + PACKET // 8 + k])
+    timed.nodes[node, TRACE] = _mix(digest, np.int64(timed.bytes[byte + PACKET + SIZE - 1]) | (port << 8))
+    counts[:] = 0
+    step_one(cell, space, frame, surfaces, pixels, timed.bytes, byte + PACKET, port, outputs, counts)
+    ticks = prices.packet + timed.nodes[node, LIST_TICKS] * counts[WALKS]
+    for k in range(COUNTS):
+        ticks += prices.counts[k] * counts[k]
+    timed.nodes[node, WALKED] += counts[WALKS]
+    done = tick + ticks
+    sent = np.int64(0)
+    for output in range(PORTS + 1):
+        sent += counts[SENT + output]
+        timed.nodes[node, PACKETS_SENT + output] += counts[SENT + output]
+    end = done + prices.by_processor * prices.transmit * sent
+    _note(timed, node, tick, end)
+    for output in range(SELF, SELF_RAYS + 1):
+        for k in range(outputs.held[output]):
+            put(timed, node, OWN, end, SELF, 0, outputs.data[output], HEAD + k * SIZE)
+        outputs.held[output] = 0
+    return done
+
+
+@part
+def arrival(timed, node, output, ready, nth, prices):
+    """Tick at which a packet arrives that is the nth (from 0) of a service and can be sent from tick `ready` on."""
+    if prices.by_processor != 0:
+        return ready + (nth + 1) * prices.transmit + prices.latency
+    sent = max(ready, timed.nodes[node, LINK_FREE + output]) + prices.transmit
+    timed.nodes[node, LINK_FREE + output] = sent
+    return sent + prices.latency
+
+
+@part
+def born(timed, node, tick, packets, at, ticks):
+    """The node bears a ray or pixel packet, lying at `at` of packets, from `tick` on, which takes so many ticks."""
+    end = tick + ticks
+    _note(timed, node, tick, end)
+    put(timed, node, OWN, end, SELF, 0, packets, at)
+
+
+@part
+def decides(timed, node, may_bear):
+    """Tick of the next decision of a node as far as it is known, NEVER if nothing that is known leads to one."""
+    free = timed.nodes[node, FREE]
+    if may_bear or timed.nodes[node, WAITING] > 0:
+        return free
+    return max(free, earliest(timed, node))
+
+
+# --- one node as a process ----------------------------------------------------------------------------
+
+IDLE, BLOCKED, FULL = 0, 1, 2  # why `advance` returns
+
+
+class Stamps(NamedTuple):
+    """Ticks of the packets that lie on the outputs of a node.
+
+    ticks  int64 (PORTS + 1, room); held: int64 (PORTS + 1,), how many have theirs
+    """
+
+    ticks: Long
+    held: Long
+
+
+@lean
+def insert(timed, port, ticks, packets, at, count):
+    """Append `count` packets (25 bytes each from byte `at`) that came by a port with their ticks, int64 (count,)."""
+    for k in range(count):
+        put(timed, 0, port, ticks[k], port, 0, packets, at + k * SIZE)
+
+
+@lean
+def next_decision(timed, may_bear):
+    """`decides` of a node that is alone in its process."""
+    return decides(timed, 0, may_bear)
+
+
+@lean
+def advance(
+    timed, horizon, cell, space, frame, surfaces, pixels, cursor, scratch, outputs, stamps, counts, total, prices
+):
+    """Carry out all decisions before tick `horizon`; IDLE, BLOCKED or FULL.
+
+    scratch  uint8 (25,), a new primary ray; counts, total: int64 (COUNTS,), of a service and of the frame
+    FULL: the outputs or the store have no room for what one more service may send.
+    """
+    most = frame.n_lights + 3
+    while True:
+        tick = decides(timed, 0, cursor[DONE] == 0)
+        if tick >= NEVER:
+            return IDLE
+        if tick >= horizon:
+            return BLOCKED
+        room = timed.spare[1]
+        for output in range(PORTS + 1):
+            room = min(room, stamps.ticks.shape[1] - outputs.held[output])
+        if room < most:
+            return FULL
+        gather(timed, 0, tick)
+        if timed.nodes[0, WAITING] == 0:
+            if (
+                cursor[DONE] == 0
+                and bear_primaries(cell, space, frame, pixels, cursor, scratch, 0, 1, outputs.seen, total) == 1
+            ):
+                born(timed, 0, tick, scratch, 0, prices.counts[BORN + PRIMARY])
+            continue
+        slot = take(timed, 0, tick)
+        done = serve(timed, 0, slot, tick, cell, space, frame, surfaces, pixels, outputs, counts, prices)
+        give_back(timed, slot)
+        for k in range(COUNTS):
+            total[k] += counts[k]
+        nth = np.int64(0)
+        for output in range(PORTS + 1):
+            for k in range(stamps.held[output], outputs.held[output]):
+                stamps.ticks[output, k] = arrival(timed, 0, output, done, nth, prices)
+                nth += 1
+            stamps.held[output] = outputs.held[output]
+
+
+assert SELF_RAYS == SELF + 1 and HOST == PORTS == OWN and KINDS + BORN == DIED

@@ -1,0 +1,259 @@
+"""A processor that keeps machine time among others that do: conservative, by null messages on demand.
+
+Every link's other end promises that nothing will arrive by it before some tick (K. M. Chandy and J. Misra, "Distributed
+simulation: a case study in design and verification of distributed programs", IEEE TSE 1979; R. E. Bryant, MIT 1977).
+A decision at a tick before all promises can be carried out; what happens then is `node.timed.service_clock`, so neither this
+computer's scheduler nor the order in which messages come can change anything.
+
+A promise travels with every message. A node that may not decide yet asks for more (`node.timed.lookahead`). When nothing is
+left to do nobody asks, and all is silent.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from raygrid.node.errors import ProtocolError
+from raygrid.node.geometry.grid_walk import HOST, PORTS
+from raygrid.node.geometry.surfaces import Kind
+from raygrid.node.links.link import Arrival, Link
+from raygrid.node.protocol.counters import COUNTS
+from raygrid.node.protocol.messages import HEAD, MessageKind
+from raygrid.node.protocol.packets import FAULTS, SIZE, first_fault
+from raygrid.node.protocol.timestamps import (
+    LAST,
+    Enquiry,
+    Prices,
+    pack_enquiry,
+    pack_stamped,
+    read_enquiry,
+    read_prices,
+    read_stamped,
+)
+from raygrid.node.runtime.processor import Processor
+from raygrid.node.timed.lookahead import Enquiries
+from raygrid.node.timed.service_clock import (
+    BLOCKED,
+    BUSY,
+    ENDED,
+    FREE,
+    FULL,
+    IDLE,
+    LINK_FREE,
+    LIST_TICKS,
+    MOST_WAITING,
+    PACKETS_SENT,
+    SERVED,
+    TRACE,
+    WAITED,
+    WALKED,
+    Stamps,
+    advance,
+    grown,
+    insert,
+    make_timed,
+    next_decision,
+)
+from raygrid.node.tracing.primaries import DONE
+
+FIRST_ROOM = 4096  # packets of the store; doubled whenever they do not suffice
+
+
+class TimedProcessor(Processor):
+    """A node that traces in machine time. All else it does as any other."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._neighbours = [port for port in self.links if port != HOST]
+        self._prices: Prices | None = None  # of the frame that is being traced in machine time
+        self._started = False
+        self._why = IDLE
+        self._frame_number = 0
+        self._told = [0] * PORTS  # promises of the neighbours
+        self._enquiries = self._new_enquiries(0)
+        self._dirty = False
+        self.timed = make_timed(1, FIRST_ROOM)
+        self._scratch, self._counts = np.zeros(SIZE, np.uint8), np.zeros(COUNTS, np.int64)
+        self._stamps = self._new_stamps()
+
+    def _new_stamps(self) -> Stamps:
+        room = (self.tracer.outputs.data.shape[1] - HEAD) // SIZE
+        return Stamps(np.zeros((PORTS + 1, room), np.int64), np.zeros(PORTS + 1, np.int64))
+
+    def _new_enquiries(self, first: int) -> Enquiries:
+        """No questions yet; nothing arrives before tick `first`."""
+        ports = self._neighbours
+        lookahead = 1 if self._prices is None else self._prices.lookahead
+        bound = dict.fromkeys(ports, first)
+        return Enquiries(self.index, self._frame_number, lookahead, ports, self._post_enquiry, self._decision, bound)
+
+    # --- orders ------------------------------------------------------------------------------------
+
+    def _obey(self, order: dict[str, Any]) -> None:
+        super()._obey(order)
+        do = order.get("do")
+        if do == "frame":
+            self._begin_frame(order)
+        elif do in ("collect", "halt", "space"):
+            self._prices, self._started, self._why = None, False, IDLE
+
+    def _admit(self, quota: int, gather: int, nap: int, flush: int) -> None:
+        super()._admit(quota, gather, nap, flush)
+        if self._prices is not None:
+            self.tracer.quota = 0  # births follow machine time, not the root
+            self._started = self._dirty = True
+
+    def _begin_frame(self, order: dict[str, Any]) -> None:
+        found = read_prices(order)
+        self._started, self._why = False, IDLE
+        self._prices = None
+        if found is None:
+            return
+        self._prices, tests = found
+        self._frame_number = int(order.get("wave", 0)) & 0xFFFFFFFF
+        self.timed, self._stamps = make_timed(1, FIRST_ROOM), self._new_stamps()
+        held = [sum(len(batch) for batch in self.tracer.retained if batch.kind == kind) for kind in Kind]
+        self.timed.nodes[0, LIST_TICKS] = int(np.array(held) @ tests)
+        first = self._prices.lookahead  # nobody has decided anything yet
+        self._told = [first] * PORTS
+        self._enquiries = self._new_enquiries(first)
+
+    # --- messages ----------------------------------------------------------------------------------
+
+    def _take_other(self, port: int, link: Link, arrival: Arrival) -> None:
+        if port == HOST or arrival.kind not in (MessageKind.STAMPED, MessageKind.ENQUIRY):
+            super()._take_other(port, link, arrival)
+            return
+        link.grant()
+        try:
+            if arrival.kind is MessageKind.STAMPED:
+                self._take_stamped(port, arrival)
+            else:
+                enquiry = read_enquiry(arrival.message)
+                if self._is_current(enquiry.frame):
+                    self._rely_on(port, enquiry.promise)
+                    self._enquiries.take(port, enquiry)
+        except ProtocolError as error:
+            self._refuse(f"link {link.name}: {error}")
+
+    def _is_current(self, frame: int) -> bool:
+        return self._prices is not None and frame == self._frame_number
+
+    def _rely_on(self, port: int, promise: int) -> None:
+        if promise < self._told[port]:
+            raise ProtocolError(f"the promise {promise} came after the promise {self._told[port]}")
+        self._told[port] = promise
+        self._enquiries.bound[port] = max(self._enquiries.bound[port], promise)
+        self._dirty = True
+
+    def _take_stamped(self, port: int, arrival: Arrival) -> None:
+        message = read_stamped(arrival.message, arrival.items)
+        if not self._is_current(message.frame):
+            raise ProtocolError(f"{arrival.items} packets of another frame came")
+        packets = np.frombuffer(arrival.message, np.uint8)
+        number, bad = first_fault(packets, message.at, arrival.items, self.tracer.limits)
+        if bad:
+            raise ProtocolError(f"packet {number} of a message: {FAULTS[bad]}")
+        before = self._enquiries.bound[port]
+        if message.ticks[0] < before:
+            raise ProtocolError(f"a packet came for tick {message.ticks[0]}, when none could before {before}")
+        self._make_room(arrival.items)
+        insert(self.timed, port, message.ticks, packets, message.at, arrival.items)
+        self._rely_on(port, message.promise)
+
+    def _make_room(self, many: int) -> None:
+        while self.timed.spare[1] < many:
+            self.timed = grown(self.timed, 2 * (len(self.timed.words) // 6))
+
+    # --- work --------------------------------------------------------------------------------------
+
+    @property
+    def busy(self) -> bool:
+        """Whether `work` has something to do now."""
+        return super().busy or (self._started and (self._dirty or self._why == FULL))
+
+    def _idle(self) -> bool:
+        return super()._idle() and not (self._started and self._why == BLOCKED)
+
+    def work(self, wait: bool = False) -> bool:
+        """Carry out what the promises allow, send what came of it, then do one piece of other work."""
+        if self._started and self._prices is not None and self.busy:
+            self._dirty = False
+            self._advance()
+            self._send()
+            self._enquiries.turn()
+            if self._why == BLOCKED:
+                self._enquiries.ask(self._decision())
+        return super().work()
+
+    def _decision(self) -> int:
+        """The next decision as far as it is known."""
+        return int(next_decision(self.timed, self.tracer.samples_left))
+
+    def _advance(self) -> None:
+        tracer, horizon = self.tracer, self._enquiries.horizon()
+        assert tracer.frame is not None
+        self._make_room(2 * (tracer.frame.n_lights + 4))
+        first = self._decision()
+        self._why = advance(
+            self.timed, horizon, tracer.cell, tracer.space, tracer.frame, tracer.surfaces, tracer.pixels,
+            tracer.cursor, self._scratch, tracer.outputs, self._stamps, self._counts, tracer.counts, self._prices,
+        )  # fmt: skip
+        tracer.samples_left = int(tracer.cursor[DONE]) == 0
+        if first < horizon:
+            self._enquiries.decided(first)
+
+    def _promise(self, port: int) -> int:
+        """The promise that can be given to a neighbour now."""
+        assert self._prices is not None
+        row = self.timed.nodes[0]
+        decision = min(self._decision(), max(int(row[FREE]), self._enquiries.horizon()))
+        after_others = int(row[LINK_FREE + port]) + self._prices.transmit + self._prices.latency
+        return min(max(decision + self._prices.lookahead, after_others), LAST)
+
+    def _post_enquiry(self, port: int, enquiry: Enquiry) -> None:
+        payload = pack_enquiry(enquiry._replace(promise=self._promise(port)))
+        self.links[port].send_data(MessageKind.ENQUIRY, 0, payload)
+
+    def _send(self) -> None:
+        """Packets with their ticks, and a promise of what comes after them."""
+        outputs = self.tracer.outputs
+        for port in self._neighbours:
+            held = int(outputs.held[port])
+            if not held:
+                continue
+            link, promise, ticks = self.links[port], self._promise(port), self._stamps.ticks[port, :held]
+            for first in range(0, held, self.batch):
+                last = min(first + self.batch, held)
+                known = promise if last == held else int(ticks[last - 1])
+                packets = outputs.data[port, HEAD + first * SIZE : HEAD + last * SIZE].tobytes()
+                payload = pack_stamped(self._frame_number, known, ticks[first:last], packets)
+                link.send_data(MessageKind.STAMPED, last - first, payload)
+            outputs.held[port] = self._stamps.held[port] = 0
+
+    def _flush(self) -> None:
+        if not self._started:
+            super()._flush()
+            return
+        self.choked = False
+        for _, link in self._ports:
+            if link.queued or link.urgent:
+                link.push()
+                self.choked = self.choked or link.choked
+
+    def record(self) -> dict[str, Any]:
+        """As of any processor, and how it spent machine time."""
+        row = self.timed.nodes[0].tolist()
+        machine = {
+            "served": row[SERVED],
+            "busy_ticks": row[BUSY],
+            "waited_ticks": row[WAITED],
+            "most_waiting": row[MOST_WAITING],
+            "walks": row[WALKED],
+            "ended_tick": row[ENDED],
+            "sent": row[PACKETS_SENT : PACKETS_SENT + PORTS],
+            "trace": row[TRACE],
+        }
+        return {**super().record(), "machine": machine}

@@ -1,0 +1,110 @@
+"""A turn of a node: as many ray steps as are worth one look at the links, over what waits, the most urgent first.
+
+All in compiled code: between two looks at its links a node goes over its stacks in portions that stay in the
+processor's cache, and what a portion gives birth to for this node is served by the next one.
+"""
+
+from __future__ import annotations
+
+from raygrid.node.geometry.grid_walk import SELF, SELF_RAYS
+from raygrid.node.jit.decorators import part
+from raygrid.node.jit.intrinsics import copy_bytes
+from raygrid.node.protocol.messages import HEAD
+from raygrid.node.protocol.packets import SIZE
+from raygrid.node.tracing.output_queues import fullest
+from raygrid.node.tracing.primaries import DONE, bear_primaries
+from raygrid.node.tracing.step import step
+from raygrid.node.tracing.work_queues import CLASSES, MOST, RAYS, SHADOWS, TRAVELLERS
+
+PORTION = 2048  # packets in a call of the step
+TURN = 8192  # packets after which the links are looked at
+WORTHWHILE = 256  # packets for which a portion is worth more than serving classes strictly in order
+ADMIT_BELOW = 1024  # primaries are born only while fewer rays than this wait
+ADMIT_AT_ONCE = 2048
+# why a turn ended
+IDLE, LONG, FULL, CROWDED = 0, 1, 2, 3  # nothing waits; TURN packets were served; an output, or a stack, is full
+
+
+@part
+def _most_urgent(held):
+    """The class to serve next: the first with WORTHWHILE packets, else the first with any, else -1."""
+    for kind in range(CLASSES):
+        if held[kind] >= WORTHWHILE:
+            return kind
+    for kind in range(CLASSES):
+        if held[kind] > 0:
+            return kind
+    return -1
+
+
+@part
+def _sink(packets, ports, first, done, held):
+    """Remove the packets first..done-1 of a stack; what lies above them sinks. Returns how many are left."""
+    above = held - done
+    if done > first:
+        for k in range(above * SIZE):
+            packets[first * SIZE + k] = packets[done * SIZE + k]
+        for k in range(above):
+            ports[first + k] = ports[done + k]
+    return first + above
+
+
+@part
+def _take_own(outputs, output, packets, ports, held):
+    """Put what starts in this node on its stack; returns how many are there."""
+    many = outputs.held[output]
+    row, to = outputs.data[output], held * SIZE
+    copy_bytes(row, HEAD, packets, to, many * SIZE)
+    for k in range(many):
+        ports[held + k] = SELF
+    outputs.held[output] = 0
+    return held + many
+
+
+@part
+def turn(cell, space, frame, surfaces, pixels, cursor, quota, pace, stacks, held, outputs, counts):
+    """Serve what waits until nothing does or one of the reasons above. Returns (quota left, why it ended, packets
+    served).
+
+    quota   primaries that may be born
+    pace    (packets after which it ends, rays that wait below which primaries are born, primaries born at once)
+    stacks  `backlog.Stacks`; held: int64 (CLASSES + 1,), updated
+    The other arguments are those of `step` and `bear_primaries`.
+    """
+    served = 0
+    room = (outputs.data.shape[1] - HEAD) // SIZE
+    lights = max(frame.n_lights, 2)
+    while served < pace[0]:
+        if quota > 0 and cursor[DONE] == 0 and held[RAYS] < pace[1]:
+            many = min(quota, min(pace[2], len(stacks.ray_ports) - held[RAYS]))
+            if many == 0:
+                return quota, CROWDED, served
+            made = bear_primaries(
+                cell, space, frame, pixels, cursor, stacks.rays, held[RAYS], many, outputs.seen, counts
+            )
+            for k in range(held[RAYS], held[RAYS] + made):
+                stacks.ray_ports[k] = SELF
+            held[RAYS] += made
+            quota -= made
+            served += made
+        kind = _most_urgent(held)
+        if kind < 0:
+            return quota, IDLE, served
+        first = max(0, held[kind] - PORTION)
+        many = (held[kind] - first) * lights
+        if held[SHADOWS] + many > len(stacks.shadow_ports) or held[RAYS] + many > len(stacks.ray_ports):
+            return quota, CROWDED, served
+        packets, ports = stacks.rays, stacks.ray_ports
+        if kind == TRAVELLERS:
+            packets, ports = stacks.travellers, stacks.traveller_ports
+        elif kind == SHADOWS:
+            packets, ports = stacks.shadows, stacks.shadow_ports
+        done = step(cell, space, frame, surfaces, pixels, packets, ports, first, held[kind], outputs, counts)
+        held[kind] = _sink(packets, ports, first, done, held[kind])
+        held[SHADOWS] = _take_own(outputs, SELF, stacks.shadows, stacks.shadow_ports, held[SHADOWS])
+        held[RAYS] = _take_own(outputs, SELF_RAYS, stacks.rays, stacks.ray_ports, held[RAYS])
+        held[MOST] = max(held[MOST], held[TRAVELLERS] + held[SHADOWS] + held[RAYS])
+        served += done - first
+        if room - fullest(outputs.held) < frame.n_lights + 2:
+            return quota, FULL, served
+    return quota, LONG, served

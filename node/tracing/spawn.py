@@ -1,0 +1,250 @@
+"""Secondary rays and shadow rays on their way into the world: noted when a hit bears them, written eight at once.
+
+What a hit gives birth to depends on branches that no processor foresees; where the newborn starts on the lattice, how
+its direction and weight are packed and which bytes that makes does not, but for a dozen quotients, roots and roundings
+each. So a step only notes a birth, and when it has gone over its packets all births are worked out without a branch.
+
+The operations, and their order, are those of `origin_beside`, `packets.octahedral`, `packets.put_ray` and
+`packets.put_shadow`: so are the bytes, which a test compares.
+"""
+
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
+# kernels: numba infers their types
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba.core import types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from raygrid.node.geometry.lattice import GENTLE, HALF, LATTICE, LIFT, SLOW, beside_ray
+from raygrid.node.jit.decorators import part
+from raygrid.node.jit.intrinsics import put_words
+from raygrid.node.jit.simd import EIGHT, Lanes, Table, least, most, splats, within
+from raygrid.node.protocol.packets import (
+    HALF_DIRECTION,
+    LARGEST_BINARY32,
+    LARGEST_SHADOW_WEIGHT,
+    SHORTEST,
+    TOO_LARGE_WEIGHT,
+    WEIGHT_BIAS,
+)
+from raygrid.node.tracing.ray_setup import behind, corners
+
+BROOD = 128  # births that are noted before they are written; a multiple of EIGHT
+SHADOW_BROOD, RAY_BROOD, BROODS = 0, 1, 2
+# rows of `facts`: point, normal, direction, weight
+POINT, NORMAL, DIRECTION, WEIGHT, FACTS = 0, 3, 6, 9, 12
+# rows of `words`: the first five bytes and the light; then the packet's words (`words_of`), and the ports behind which
+# it starts
+HEAD, LIGHT = 0, 1
+WORD, BEHIND, WORDS = 0, 4, 5
+
+
+class Newborn(NamedTuple):
+    """Births that are noted: shadow rays, then other rays, a column each; flat.
+
+    facts  float64 (BROODS * FACTS * BROOD,); words  int64 (BROODS * WORDS * BROOD,); held  int64 (BROODS,)
+    """
+
+    facts: NDArray[np.float64]
+    words: NDArray[np.int64]
+    held: NDArray[np.int64]
+
+
+def make_newborn() -> Newborn:
+    """No births."""
+    return Newborn(
+        np.zeros(BROODS * FACTS * BROOD), np.zeros(BROODS * WORDS * BROOD, np.int64), np.zeros(BROODS, np.int64)
+    )
+
+
+@part
+def origin_beside(step, p, g, d):
+    """Lattice origin of a ray born at p: lifted off the surface to the side that it goes to, then rounded.
+
+    It is moved along itself, which changes nothing of what it sees. A ray that leaves at a grazing angle would have to
+    go far, so it is lifted along the normal g by what is lacking. The definition, for one ray.
+    """
+    slope = g[0] * d[0] + g[1] * d[1] + g[2] * d[2]
+    along = LIFT / max(abs(slope), GENTLE)
+    lacking = LIFT - along * abs(slope)
+    side = lacking if slope >= 0.0 else -lacking
+    start = (p[0] + along * d[0] + side * g[0], p[1] + along * d[1] + side * g[1], p[2] + along * d[2] + side * g[2])
+    return beside_ray(step, start, d, 1)
+
+
+@part
+def note(newborn, brood, head, light, p, g, d, weight):
+    """Note a birth; whether there is room for no more."""
+    j = newborn.held[brood] & (BROOD - 1)
+    fact, word = brood * FACTS * BROOD + j, brood * WORDS * BROOD + j
+    for axis in range(3):
+        newborn.facts[fact + (POINT + axis) * BROOD] = p[axis]
+        newborn.facts[fact + (NORMAL + axis) * BROOD] = g[axis]
+        newborn.facts[fact + (DIRECTION + axis) * BROOD] = d[axis]
+        newborn.facts[fact + (WEIGHT + axis) * BROOD] = weight[axis]
+    newborn.words[word + HEAD * BROOD], newborn.words[word + LIGHT * BROOD] = head, light
+    newborn.held[brood] = j + 1
+    return j + 1 == BROOD
+
+
+@part
+def work_out(cell, space, newborn, brood):
+    """Make the words of all that are noted of a brood."""
+    for j in range(0, newborn.held[brood], EIGHT):
+        fact, word = brood * FACTS * BROOD + j, brood * WORDS * BROOD + j
+        if brood == SHADOW_BROOD:
+            _shadow_words(newborn.facts, newborn.words, fact, word, space.step, corners(cell))
+        else:
+            _ray_words(newborn.facts, newborn.words, fact, word, space.step, corners(cell))
+
+
+@part
+def starts_behind(newborn, brood, j):
+    """Six bits: the ports behind which a newborn starts."""
+    return newborn.words[(brood * WORDS + BEHIND) * BROOD + j]
+
+
+@part
+def put(newborn, brood, j, row, at):
+    """Write the packet of a newborn that was worked out."""
+    put_made(newborn.words, (brood * WORDS + WORD) * BROOD + j, BROOD, row, at)
+
+
+@part
+def put_made(words, first, stride, row, at):
+    """Write a packet whose words (`words_of`) stand at every `stride` places of a table from place `first` on."""
+    put_words(row, at, words[first], words[first + stride], words[first + 2 * stride])
+    row[at + 24] = np.uint8(words[first + 3 * stride])
+
+
+# --- eight at once -------------------------------------------------------------------------------------
+
+
+def nearest_eight(point: Lanes, step: Lanes) -> Lanes:
+    """As `lattice.nearest`, int32."""
+    return within(math.floor(point / step + 0.5) + float(HALF), 0.0, LATTICE - 1.0).as_whole()
+
+
+def _origins(facts: Table, direction: list[Lanes], step: list[Lanes]) -> list[Lanes]:
+    """As `origin_beside`."""
+    p, g, d = facts.read_three(POINT), facts.read_three(NORMAL), direction
+    slope = g[0] * d[0] + g[1] * d[1] + g[2] * d[2]
+    size = abs(slope)
+    along = LIFT / most(size, size.every(GENTLE))
+    lacking = LIFT - along * size
+    side = (slope >= 0.0).choose(lacking, -lacking)
+    start = [p[axis] + along * d[axis] + side * g[axis] for axis in range(3)]
+    places, speeds = ([of[axis] / step[axis] for axis in range(3)] for of in (start, d))
+    t, _ = next_on_lattice(places, speeds, d, step)  # as `lattice.beside_ray` with one try
+    return [nearest_eight(start[axis] + t * d[axis], step[axis]) for axis in range(3)]
+
+
+def next_on_lattice(places: list[Lanes], speeds: list[Lanes], d: list[Lanes], step: list[Lanes]) -> tuple[Lanes, Lanes]:
+    """Of the axis that is worth most on the lattice, as in `lattice.beside_ray`: when the ray next has a coordinate of it
+    on the lattice, and how fast it is, in steps."""
+    worth = [(abs(d[axis]) >= SLOW).choose(abs(d[axis]) * step[axis], d[axis].every(0.0)) for axis in range(3)]
+    by_x, by_y = worth[0] >= most(worth[1], worth[2]), worth[1] >= worth[2]
+    place, speed = (by_x.choose(of[0], by_y.choose(of[1], of[2])) for of in (places, speeds))
+    return ((speed > 0.0).choose(math.ceil(place), math.floor(place)) - place) * (1.0 / speed), speed
+
+
+def octahedral_eight(d: list[Lanes]) -> list[Lanes]:
+    """As `packets.octahedral`, int32."""
+    size = abs(d[0]) + abs(d[1]) + abs(d[2])
+    scale = (size >= SHORTEST).choose(1.0 / size, size.every(0.0))
+    u, v = d[0] * scale, d[1] * scale
+    one = u.every(1.0)
+    folded = ((1.0 - abs(v)) * one.signed_as(u), (1.0 - abs(u)) * one.signed_as(v))
+    codes = []
+    for plain, other in zip((u, v), folded, strict=True):
+        code = math.floor((d[2] < 0.0).choose(other, plain) * float(HALF_DIRECTION) + 0.5)
+        codes.append(within(code + float(HALF_DIRECTION), 0.0, 2.0 * HALF_DIRECTION).as_whole())
+    return codes
+
+
+def _weight(weight: list[Lanes]) -> Lanes:
+    """As `packets.pack_weight`, int64."""
+    largest = most(*weight)
+    e = (largest.bits() >> 52) - 1022 + WEIGHT_BIAS  # of binary64: f * 2^e with 0.5 <= f < 1
+    e = (e < 0).choose(0, e)
+    e = (largest < TOO_LARGE_WEIGHT).choose(e, e.every(127))
+    rounds_up = (largest * _unit(e) + 0.5 >= 2048.0).as_long()
+    e = e + (e < 127).choose(rounds_up, e.every(0))
+    unit = _unit(e)
+    r, g, b = (least(one * unit + 0.5, unit.every(2047.0)).as_whole().as_long() for one in weight)
+    return (largest > 0.0).choose(r | g << 11 | b << 22 | e << 33, e.every(0))
+
+
+def _unit(e: Lanes) -> Lanes:
+    """2^(WEIGHT_BIAS + 11 - e), `packets.WEIGHT_INVERSE_UNIT`."""
+    return ((1023 + WEIGHT_BIAS + 11 - e) << 52).of_bits()
+
+
+def _shadow_weight(value: Lanes) -> Lanes:
+    """As `packets.pack_shadow_weight`, int64."""
+    bits = least(value, value.every(LARGEST_BINARY32)).bits_of_single() + 64
+    bits = least(bits, bits.every(int(LARGEST_SHADOW_WEIGHT)))
+    return (value > 0.0).choose(bits >> 7, bits.every(0))
+
+
+Rest = tuple[Lanes, Lanes, Lanes]  # bytes 14 and 15, 16 to 23, and 24 of a packet, as numbers
+
+
+def rest_of_ray(direction: list[Lanes], weight: Lanes) -> Rest:
+    """The rest of a ray with this direction and packed weight."""
+    a, b = (code.as_long() for code in octahedral_eight(direction))
+    return a & 0xFFFF, a >> 16 | b << 8 | weight << 32, weight >> 32
+
+
+def words_of(head: Lanes, origin: list[Lanes], rest: Rest) -> list[Lanes]:
+    """Bytes 0-7, 8-15, 16-23 and 24 of a packet as numbers; `head`: its first five bytes."""
+    x, y, z = (at.as_long() for at in origin)
+    two, eight, last = rest
+    return [head | x << 40, y | z << 24 | two << 48, eight, last]
+
+
+def _of_ray(facts: Table, words: Table, direction: list[Lanes]) -> Rest:
+    return rest_of_ray(direction, _weight(facts.read_three(WEIGHT)))
+
+
+def _of_shadow(facts: Table, words: Table, direction: list[Lanes]) -> Rest:
+    red, green, blue = (_shadow_weight(one) for one in facts.read_three(WEIGHT))
+    return words.read(LIGHT), red | green << 24 | blue << 48, blue >> 16
+
+
+def _words(rest_of: Any) -> Any:
+    """The intrinsic that makes the words of eight packets of which the rest, from byte 14 on, is found like this."""
+
+    def intrinsic_function(typingctx: Any, facts: Any, words: Any, fact: Any, word: Any, step: Any, edges: Any) -> Any:
+        """Make the words of eight packets, whose columns begin at place `fact` of the facts and `word` of the words.
+
+        step  three float64; edges  six int32, the cell's corners
+        """
+
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            known = Table(context, builder, signature.args[0], args[0], args[2], BROOD)
+            made = Table(context, builder, signature.args[1], args[1], args[3], BROOD)
+            steps, cell = (splats(builder, packed) for packed in args[4:])
+            direction = known.read_three(DIRECTION)
+            origin = _origins(known, direction, steps)
+            rest = rest_of(known, made, direction)
+            for k, word in enumerate(words_of(made.read(HEAD), origin, rest)):
+                made.write(WORD + k, word)
+            made.write(BEHIND, behind(origin, cell).as_long())
+            return context.get_dummy_value()
+
+        tuples = types.UniTuple(types.float64, 3), types.UniTuple(types.int32, 6)
+        return types.void(facts, words, types.int64, types.int64, *tuples), codegen
+
+    return intrinsic(intrinsic_function)
+
+
+# kernels call them without the first argument
+_ray_words: Any = _words(_of_ray)
+_shadow_words: Any = _words(_of_shadow)

@@ -1,0 +1,379 @@
+"""Tallies: their bytes, and that compiled code takes care of them as Python does, over real sockets."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+import zmq
+from hypothesis import given
+from hypothesis import strategies as st
+from support.cases import steady
+from support.frames import perspective
+from support.messages import message, sealed
+from support.packets import return_bytes
+from support.scenes import Scene, mixed_scene, space_of
+from support.space import EVEN_STEP
+
+from raygrid.node.errors import ProtocolError
+from raygrid.node.links import zmq_c_api
+from raygrid.node.links.link import Link, State
+from raygrid.node.links.zmq_channel import Pair
+from raygrid.node.main import open_links
+from raygrid.node.protocol.counters import BORN
+from raygrid.node.protocol.messages import HEAD, MessageKind
+from raygrid.node.protocol.packets import PRIMARY
+from raygrid.node.runtime import reduction, reduction_replies
+from raygrid.node.runtime.event_loop import FLUSH, LEAST, NAP, NAPS
+from raygrid.node.runtime.native_link_table import Wired
+from raygrid.node.runtime.processor import Processor
+from raygrid.node.runtime.reduction import (
+    MOST_HOLD,
+    MOST_NAP,
+    MOST_PACKETS,
+    MOST_QUOTA,
+    ORDER,
+    SUMS,
+    pack_tally,
+    read_tally,
+)
+from raygrid.node.runtime.reduction_replies import Tallies
+
+NAME, SHAPE = "3x1x1", (3, 1, 1)
+LOW, HIGH = 0, 1  # ports of the node in the middle: to its parent, and to its only child
+PEERS = {LOW: [0, 0, 0], HIGH: [2, 0, 0]}
+TURNS = 2000  # after so many a node is taken to hang
+LONG = 10 * 10**9  # nanoseconds, longer than any test
+pytestmark = pytest.mark.timeout(120)
+
+# --- bytes ---------------------------------------------------------------------------------------------
+
+orders = st.tuples(
+    st.integers(0, 2**31),
+    st.integers(0, MOST_QUOTA),
+    st.integers(0, MOST_HOLD),
+    st.integers(0, MOST_PACKETS),
+    st.integers(0, MOST_NAP),
+    st.integers(1, MOST_PACKETS),
+).map(list)
+
+
+def tally_bytes(fields: list[int]) -> bytes:
+    """The payload of a TALLY."""
+    return np.array(fields, "<i8").tobytes()
+
+
+def test_the_order_to_trace_is_these_numbers():
+    order = {"do": "trace", "quota": 7, "hold": 0.028, "gather": 300, "linger": 0.0008, "flush": 4096}
+    payload = pack_tally(5, order)
+    assert payload == tally_bytes([5, 7, 28_000_000, 300, 800, 4096])
+    assert read_tally(message(MessageKind.TALLY, payload)) == [5, 7, 28_000_000, 300, 800, 4096]
+
+
+@given(fields=orders)
+@steady(100)
+def test_what_is_in_range_is_read_as_it_was_written(fields):
+    assert read_tally(message(MessageKind.TALLY, tally_bytes(fields))) == fields
+
+
+BAD = {
+    "quota": [(1, -1), (1, 2**32)],
+    "hold": [(2, -1), (2, MOST_HOLD + 1)],
+    "gather": [(3, -1), (3, 2**40)],
+    "nap": [(4, -1), (4, MOST_NAP + 1)],
+    "flush": [(5, 0), (5, -(2**63))],
+}
+
+
+@pytest.mark.parametrize(("place", "value"), [case for cases in BAD.values() for case in cases])
+def test_what_is_out_of_range_is_refused(place, value):
+    fields = [1, 2, 3, 4, 5, 6]
+    fields[place] = value
+    with pytest.raises(ProtocolError, match="wanted number, quota, hold, gather, nap and flush in range"):
+        read_tally(message(MessageKind.TALLY, tally_bytes(fields)))
+
+
+@pytest.mark.parametrize("size", [0, 40, 47, 49, 56])
+def test_another_length_is_refused(size):
+    with pytest.raises(ProtocolError, match=f"came with {size} bytes, wanted"):
+        read_tally(message(MessageKind.TALLY, bytes(size)))
+    with pytest.raises(ProtocolError, match=f"came with {size} bytes, wanted"):
+        reduction.read_tallied(message(MessageKind.TALLIED, bytes(size)))
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [{"quota": None}, {"quota": -1}, {"quota": 1.0}, {"gather": 1.5}, {"linger": 2.0}, {"hold": "x"}, {"flush": 0}],
+)
+def test_an_order_that_is_none_is_no_tally(odd):
+    assert pack_tally(1, {"do": "trace", "quota": 5, "flush": 9, **odd}) is None
+
+
+# --- a node between its parent and its child -----------------------------------------------------------
+
+
+@cache
+def scene() -> Scene:
+    """Something to trace, with the camera in the middle node."""
+    camera = perspective([0.05, 0.1, 0.1], [-0.1, -0.15, -1], 50, (24, 18))
+    return mixed_scene(1, EVEN_STEP, 20, size=(24, 18), depth=3, camera=camera)
+
+
+class Middle:
+    """The node at 1,0,0 in the middle of a frame, and the link ends of both neighbours, for which a test speaks."""
+
+    def __init__(self, context: zmq.Context[Any], place: str, wired: bool) -> None:
+        self.pairs = {port: Pair(context, f"ipc://{place}-{port}", True) for port in PEERS}
+        self.others = {port: Pair(context, f"ipc://{place}-{port}", False) for port in PEERS}
+        self.node: Processor
+        self._wired: Wired | None = None
+        links = open_links({"index": [1, 0, 0], "machine": "m", "epoch": 3}, dict(self.pairs))
+        self.peers: dict[int, Link] = {}
+        for port, index in PEERS.items():
+            made = open_links({"index": index, "machine": "m", "epoch": 3}, {port ^ 1: self.others[port]})
+            self.peers[port] = made[port ^ 1]
+        self.node = Processor((1, 0, 0), SHAPE, links, 64)
+        self._poller = zmq.Poller()
+        for pair in (*self.pairs.values(), *self.others.values()):
+            self._poller.register(pair.socket, zmq.POLLIN)
+        for _ in range(TURNS):
+            every = [*links.values(), *self.peers.values()]
+            if all(link.state is State.UP for link in every):
+                break
+            self._poller.poll(50)
+            for link in every:
+                assert link.receive() is None
+                link.push()
+        self.node.tracer.set_space(space_of(NAME, EVEN_STEP))
+        for batch in scene().surfaces:
+            self.node.tracer.retain(batch, batch.bounds())
+        self.node.tracer.build()
+        self.node.tracer.set_frame(scene().frame)
+        if wired:
+            self._wired = Wired(links, self.pairs, self.node.tallies.tally)
+            self.node.wire(self._wired)
+
+    def say(self, port: int, kind: MessageKind, payload: bytes) -> None:
+        """A neighbour says something."""
+        self.peers[port].send_words(kind, payload)
+
+    def until(self, done: Any) -> list[tuple[int, MessageKind, bytes]]:
+        """Let the node go on until something holds; what its neighbours heard but packets.
+
+        Raises ProtocolError if the node does.
+        """
+        heard: list[tuple[int, MessageKind, bytes]] = []
+        for _ in range(TURNS):
+            for port in PEERS:
+                if not self.node.serves_itself(port):
+                    self.node.receive(port)
+            self.node.work()
+            for port, link in self.peers.items():
+                while (arrival := link.receive()) is not None:
+                    if arrival.kind is MessageKind.PACKETS:
+                        link.grant()
+                    else:
+                        heard.append((port, arrival.kind, arrival.message[HEAD:]))
+            if done(heard):
+                return heard
+            if not self.node.busy:
+                self._poller.poll(20)
+        pytest.fail(f"the node hangs; heard {heard}")
+
+    def close(self) -> None:
+        """Nothing is left."""
+        if self._wired is not None:
+            self._wired.close()
+        for pair in (*self.pairs.values(), *self.others.values()):
+            pair.close()
+
+
+@contextmanager
+def middles() -> Iterator[Any]:
+    """Makes nodes whose tallies Python takes care of (False) or compiled code (True)."""
+    directory, context = tempfile.mkdtemp(prefix="rgtest-", dir="/tmp"), zmq.Context(io_threads=1)
+    made: list[Middle] = []
+
+    def make(wired: bool) -> Middle:
+        made.append(Middle(context, f"{directory}/{len(made)}", wired))
+        return made[-1]
+
+    try:
+        yield make
+    finally:
+        for middle in made:
+            middle.close()
+        context.destroy(linger=0)
+        shutil.rmtree(directory)
+
+
+@pytest.fixture
+def make() -> Iterator[Any]:
+    """`middles`, for a test."""
+    with middles() as maker:
+        yield maker
+
+
+def answered(heard: list[tuple[int, MessageKind, bytes]]) -> bool:
+    """Whether the parent has its answer."""
+    return any(kind is MessageKind.TALLIED for _, kind, _ in heard)
+
+
+def child_answer(number: int, seed: int = 0) -> bytes:
+    """What a child might say."""
+    return reduction.pack_tallied(number, np.random.default_rng(seed).integers(0, 2**40, SUMS))
+
+
+@pytest.mark.skipif(zmq_c_api.find_functions() is None, reason="no functions to call")
+def test_both_answer_the_same_after_the_same_work(make):
+    found = []
+    for middle in (make(False), make(True)):
+        middle.say(LOW, MessageKind.TALLY, tally_bytes([4, 200, LONG, 0, 0, 64]))
+        told = middle.until(lambda heard: len(heard) == 1)
+        middle.say(HIGH, MessageKind.TALLIED, child_answer(4))
+        (answer,) = middle.until(answered)
+        number, sums = reduction.read_tallied(message(MessageKind.TALLIED, answer[2]))
+        # of its own it counts what it did; messages are a matter of time
+        own = sums - np.random.default_rng(0).integers(0, 2**40, SUMS)
+        assert own[: reduction.COUNTS].tolist() == middle.node.tracer.counts.tolist()
+        assert own[reduction.DATA_SENT] == sum(link.data_sent for link in middle.node.links.values())
+        own[reduction.DATA_SENT] = 0
+        found.append((told, answer[:2], number, own.tolist()))
+    assert found[0] == found[1]
+    told, answer, number, own = found[1]
+    assert told == [(HIGH, MessageKind.TALLY, tally_bytes([4, 200, LONG, 0, 0, 64]))]
+    assert (answer, number) == ((LOW, MessageKind.TALLIED), 4)
+    assert own[BORN + PRIMARY] == 200
+    assert own[reduction.HOMES_LEFT] == 1
+
+
+@pytest.mark.skipif(zmq_c_api.find_functions() is None, reason="no functions to call")
+def test_compiled_code_does_it_and_python_does_not(make, monkeypatch):
+    middle = make(True)
+    monkeypatch.setattr(reduction_replies, "pack_tallied", lambda *rest: pytest.fail("Python answered"))
+    monkeypatch.setattr(Tallies, "tell_children", lambda self: pytest.fail("Python told"))
+    monkeypatch.setattr(Processor, "receive", lambda self, port: pytest.fail("Python received"))
+    monkeypatch.setattr(Processor, "serves_itself", lambda self, port: True)
+    middle.say(LOW, MessageKind.TALLY, tally_bytes([9, 50, LONG, 300, 800, 17]))
+    middle.until(lambda heard: len(heard) == 1)
+    middle.say(HIGH, MessageKind.TALLIED, child_answer(9))
+    middle.until(answered)
+    pace = middle.node.tracer.pace
+    assert (pace[LEAST], pace[NAP], pace[FLUSH]) == (300, 800 // NAPS, 17)
+
+
+def spoil(fields: list[int], place: int, value: int) -> bytes:
+    """A tally with another number in it."""
+    changed = list(fields)
+    changed[place] = value
+    return tally_bytes(changed)
+
+
+GOOD = [4, 200, LONG, 0, 0, 64]
+ODD = {
+    "a second tally": [(LOW, MessageKind.TALLY, tally_bytes(GOOD)), (LOW, MessageKind.TALLY, tally_bytes(GOOD))],
+    "an order beside it": [
+        (LOW, MessageKind.TALLY, tally_bytes(GOOD)),
+        (LOW, MessageKind.DOWN, b"\x81\xa2do\xa5ready"),
+    ],
+    "a tally from a child": [(HIGH, MessageKind.TALLY, tally_bytes(GOOD))],
+    "an answer from the parent": [(LOW, MessageKind.TALLIED, child_answer(4))],
+    "an answer to nothing": [(HIGH, MessageKind.TALLIED, child_answer(4))],
+    "an answer to another": [(LOW, MessageKind.TALLY, tally_bytes(GOOD)), (HIGH, MessageKind.TALLIED, child_answer(5))],
+    "too short": [(LOW, MessageKind.TALLY, tally_bytes(GOOD)[:-8])],
+    "too long": [(LOW, MessageKind.TALLY, tally_bytes([*GOOD, 0]))],
+    "an empty answer": [(LOW, MessageKind.TALLY, tally_bytes(GOOD)), (HIGH, MessageKind.TALLIED, b"")],
+    **{
+        f"{name} {value}": [(LOW, MessageKind.TALLY, spoil(GOOD, place, value))]
+        for name, cases in BAD.items()
+        for place, value in cases
+    },
+}
+
+
+@pytest.mark.parametrize("odd", ODD)
+def test_what_is_odd_is_left_to_python(make, odd):
+    said = []
+    for wired in (False, True):
+        middle = make(wired)
+        middle.node.work()
+        for port, kind, payload in ODD[odd]:
+            middle.say(port, kind, payload)
+        with pytest.raises(ProtocolError) as error:
+            middle.until(lambda heard: False)
+        said.append(str(error.value))
+    assert said[0] == said[1]
+
+
+def test_it_is_answered_when_all_is_done(make):
+    """Although the node was given work with it, and has a long time."""
+    for wired in (False, True):
+        middle = make(wired)
+        packets = [return_bytes(1, k % 400, (0.5, 1.5, 0.0), (1, 0, 0)) for k in range(300)]
+        middle.peers[LOW].send_data(MessageKind.PACKETS, len(packets), b"".join(packets))
+        middle.say(LOW, MessageKind.TALLY, tally_bytes([4, 20_000, LONG, 0, 0, 64]))
+        middle.until(lambda heard: len(heard) == 1)
+        middle.say(HIGH, MessageKind.TALLIED, reduction.pack_tallied(4, np.zeros(SUMS, np.int64)))
+        (answer,) = middle.until(answered)
+        _, sums = reduction.read_tallied(message(MessageKind.TALLIED, answer[2]))
+        assert (sums[reduction.WAITING], sums[reduction.HOMES_LEFT]) == (0, 0)
+
+
+@pytest.mark.parametrize("wired", [False, True])
+def test_a_node_that_is_never_idle_answers_at_the_deadline_and_not_before(make, monkeypatch, wired):
+    monkeypatch.setattr(Processor, "_idle", lambda self: False)
+    monkeypatch.setattr(Processor, "_is_occupied", property(lambda self: True))
+    middle = make(wired)
+    state = middle.node.tallies.tally.state
+    for number, hold in ((4, 0), (5, LONG)):
+        middle.say(LOW, MessageKind.TALLY, tally_bytes([number, 50, hold, 0, 0, 64]))
+        middle.until(lambda heard: any(kind is MessageKind.TALLY for _, kind, _ in heard))
+        middle.say(HIGH, MessageKind.TALLIED, child_answer(number))
+        if hold:
+            middle.until(lambda heard: state[reduction.HEARD] == state[reduction.CHILDREN])
+            for _ in range(20):
+                middle.node.work()
+            assert state[reduction.PENDING]
+            state[reduction.DEADLINE] = 0
+        assert answered(middle.until(answered))
+
+
+def test_before_a_frame_it_is_refused(make):
+    middle = make(False)
+    middle.node.tracer.forget_frame()
+    middle.say(LOW, MessageKind.TALLY, tally_bytes(GOOD))
+    middle.until(lambda heard: len(heard) == 1)
+    assert list(middle.node.refused) == ["node (1, 0, 0): the order 'trace' came before a frame"]
+
+
+@given(fields=orders, wrong=st.integers(0, ORDER * 8 + HEAD - 1), value=st.integers(0, 255))
+@steady(15)
+def test_any_tally_has_the_same_consequences(fields, wrong, value):
+    """Sound ones and spoilt ones, with their own checksums."""
+    outcomes = []
+    with middles() as maker:
+        for wired in (False, True):
+            middle = maker(wired)
+            middle.node.work()
+            link = middle.peers[LOW]
+            raw = bytearray(message(MessageKind.TALLY, tally_bytes(fields), 0, link.sent, link.data_done, link.epoch))
+            raw[wrong] = value
+            assert middle.others[LOW].send(sealed(bytes(raw)))
+            state, taken = (
+                middle.node.tallies.tally.state,
+                middle.node.links[LOW].received + middle.node.links[LOW].stale,
+            )
+            said = ""
+            try:
+                middle.until(lambda heard, m=middle, t=taken: m.node.links[LOW].received + m.node.links[LOW].stale > t)
+            except ProtocolError as error:
+                said = str(error)
+            pending = [int(state[place]) for place in (reduction.PENDING, reduction.CURRENT, reduction.HEARD)]
+            outcomes.append((said, pending, middle.node.tallies.tally.order.tolist(), middle.node.links[LOW].stale))
+    assert outcomes[0] == outcomes[1]
