@@ -29,13 +29,9 @@ from raygrid.emulator.analysis.single_step import SingleStep
 from raygrid.emulator.topology.bounds import growth_of
 from raygrid.emulator.topology.topology import Index, indices
 from raygrid.node.errors import ArrayError, SceneError
-from raygrid.node.geometry.grid_walk import OPPOSITE, PORTS, SELF
-from raygrid.node.geometry.lattice import Space
-from raygrid.node.geometry.surfaces import SurfaceSet
-from raygrid.node.protocol.counters import BORN, DIED
-from raygrid.node.protocol.frame_tables import Frame
-from raygrid.node.protocol.packets import PRIMARY, RETURN, PacketKind
-from raygrid.node.runtime.node_state import Tracer
+from raygrid.node.geometry import OPPOSITE, PORTS, SELF, Space, SurfaceSet
+from raygrid.node.protocol import BORN, DIED, PRIMARY, RETURN, Frame, PacketKind
+from raygrid.node.runtime import Tracer
 
 SOURCES = PORTS + 2  # from which a node takes packets in turn: its ports, what it has born to itself, its primaries
 MOST_ROOM = 1 << 20

@@ -17,14 +17,22 @@ from raygrid.emulator.analysis.requery import begin, carries_home, look, sees_ou
 from raygrid.emulator.analysis.single_step import Served, SingleStep, Units
 from raygrid.emulator.topology.topology import Index
 from raygrid.node.errors import ArrayError, SceneError
-from raygrid.node.geometry.bvh import DEPTH
-from raygrid.node.geometry.grid_walk import OPPOSITE, PORTS, SELF
-from raygrid.node.geometry.lattice import HALF, Space
-from raygrid.node.geometry.surfaces import SurfaceSet
-from raygrid.node.protocol.counters import BORN, COUNTS, DIED, HITS, WALKS
-from raygrid.node.protocol.frame_tables import Frame
-from raygrid.node.protocol.packets import PRIMARY, REFLECTED, RETURN, SHADOW, PacketKind, decode
-from raygrid.node.tracing.framebuffer import MAX_INTENSITY, UNIT
+from raygrid.node.geometry import DEPTH, HALF, OPPOSITE, PORTS, SELF, Space, SurfaceSet
+from raygrid.node.protocol import (
+    BORN,
+    COUNTS,
+    DIED,
+    HITS,
+    PRIMARY,
+    REFLECTED,
+    RETURN,
+    SHADOW,
+    WALKS,
+    Frame,
+    PacketKind,
+    decode,
+)
+from raygrid.node.tracing import MAX_INTENSITY, UNIT
 
 MOST_RAYS = 1_000_000  # of one tree
 Vector = tuple[float, float, float]

@@ -7,16 +7,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from raygrid.node.geometry.grid_walk import inverse, passage
-from raygrid.node.geometry.lattice import T_MIN
-from raygrid.node.jit.decorators import lean
-from raygrid.node.protocol.frame_tables import IOR, TRANSMISSION
-from raygrid.node.protocol.packets import SHADOW, read_u16, read_u24, read_u32, unit_vector, unpack_weight
-from raygrid.node.tracing.camera import entry, eye_ray, home, image_point
-from raygrid.node.tracing.framebuffer import fixed_point
-from raygrid.node.tracing.shading import light_direction, normals, place, refract
-from raygrid.node.tracing.step import edge_colour
-from raygrid.node.tracing.traverse import closest
+from raygrid.node.geometry import T_MIN, inverse, passage
+from raygrid.node.jit import lean
+from raygrid.node.protocol import IOR, SHADOW, TRANSMISSION, read_u16, read_u24, read_u32, unit_vector, unpack_weight
+from raygrid.node.tracing import (
+    closest,
+    edge_colour,
+    entry,
+    eye_ray,
+    fixed_point,
+    home,
+    image_point,
+    light_direction,
+    normals,
+    place,
+    refract,
+)
 
 
 @lean

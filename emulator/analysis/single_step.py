@@ -17,17 +17,10 @@ from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.emulator.topology.limits import read_resources
 from raygrid.emulator.topology.topology import Index
 from raygrid.node.errors import TooLarge
-from raygrid.node.geometry.bvh import DEPTH
-from raygrid.node.geometry.lattice import Space
-from raygrid.node.geometry.surfaces import SurfaceSet
-from raygrid.node.protocol.commands import frame_order
-from raygrid.node.protocol.counters import COUNTS
-from raygrid.node.protocol.frame_tables import Frame
-from raygrid.node.protocol.messages import HEAD
-from raygrid.node.protocol.packets import SIZE
-from raygrid.node.runtime.node_state import Tracer
-from raygrid.node.tracing.output_queues import make_outputs
-from raygrid.node.tracing.primaries import DONE, bear_primaries, bear_primary
+from raygrid.node.geometry import DEPTH, Space, SurfaceSet
+from raygrid.node.protocol import COUNTS, HEAD, SIZE, Frame, frame_order
+from raygrid.node.runtime import Tracer
+from raygrid.node.tracing import DONE, bear_primaries, bear_primary, make_outputs
 from raygrid.node.tracing.step import step
 
 NODE_BYTES = 800_000  # of a node in memory, without surfaces (measured)

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.node.errors import PacketError
-from raygrid.node.jit.decorators import is_on_disk
-from raygrid.node.protocol.messages import HEAD
-from raygrid.node.protocol.packets import MAX_PIXEL_SAMPLES, add_pixels
+from raygrid.node.jit import is_on_disk
+from raygrid.node.protocol import HEAD, MAX_PIXEL_SAMPLES, add_pixels
 
 Samples = NDArray[np.integer]  # uint16 or int64
 PIECE = 1 << 18  # pixels that are touched at a time, in some 10 milliseconds at worst

@@ -18,19 +18,24 @@ from numpy.typing import NDArray
 from raygrid.emulator.driver.collector import Collected, Samples
 from raygrid.emulator.driver.increments import Held, check_moves, increment
 from raygrid.node.errors import ArrayError, Garbled, ProtocolError, SceneError, Stuck
-from raygrid.node.geometry.lattice import Space
-from raygrid.node.geometry.rigid_motion import Moves, groups_order, placed
-from raygrid.node.geometry.spanning_tree import corners
-from raygrid.node.geometry.surfaces import Batch, SurfaceSet
-from raygrid.node.links.link import Link, State
-from raygrid.node.programs.programs import Program, program_order
-from raygrid.node.protocol.commands import frame_order, space_order
-from raygrid.node.protocol.counters import BORN, DIED
-from raygrid.node.protocol.frame_tables import Frame
-from raygrid.node.protocol.messages import MessageKind, check_packets, pack_surfaces, read_order
-from raygrid.node.protocol.packets import KINDS, PIXEL, PRIMARY
-from raygrid.node.runtime.increments import pieces
-from raygrid.node.runtime.reduction import (
+from raygrid.node.geometry import Batch, Moves, Space, SurfaceSet, corners, groups_order, placed
+from raygrid.node.links import Link, State
+from raygrid.node.programs import Program, program_order
+from raygrid.node.protocol import (
+    BORN,
+    DIED,
+    KINDS,
+    PIXEL,
+    PRIMARY,
+    Frame,
+    MessageKind,
+    check_packets,
+    frame_order,
+    pack_surfaces,
+    read_order,
+    space_order,
+)
+from raygrid.node.runtime import (
     ALLOWED,
     COLLECTING,
     DATA_DONE,
@@ -41,9 +46,10 @@ from raygrid.node.runtime.reduction import (
     REFUSED,
     WAITING,
     pack_tally,
+    pieces,
+    read_sums,
     read_tallied,
 )
-from raygrid.node.runtime.report import read_sums
 
 CHUNK_BYTES = 1 << 16  # surfaces in a message
 BUDGET = 1 << 20  # packets in flight below which primaries are admitted, and so the most primaries alive (`bounds`)

@@ -12,10 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.node.errors import ProtocolError, SceneError
-from raygrid.node.geometry.lattice import Space
-from raygrid.node.geometry.rigid_motion import Moves, fault_of, move_order, placed
-from raygrid.node.geometry.surfaces import Batch, SurfaceSet
-from raygrid.node.runtime.increments import check_inside
+from raygrid.node.geometry import Batch, Moves, Space, SurfaceSet, fault_of, move_order, placed
+from raygrid.node.runtime import check_inside
 
 
 class Held(NamedTuple):

@@ -9,12 +9,10 @@ import numpy as np
 
 from raygrid.emulator.driver.driver import Driver
 from raygrid.emulator.topology.topology import host_links, indices, neighbour_links
-from raygrid.node.geometry.grid_walk import HOST
-from raygrid.node.geometry.spanning_tree import corners
-from raygrid.node.links.link import Link
-from raygrid.node.links.memory_channel import MemoryPair, memory_pair
+from raygrid.node.geometry import HOST, corners
+from raygrid.node.links import Link, MemoryPair, memory_pair
 from raygrid.node.main import open_links, processor_class
-from raygrid.node.runtime.processor import Processor
+from raygrid.node.runtime import Processor
 
 Order = Callable[[int], np.ndarray]
 

@@ -9,10 +9,9 @@ from typing import Any
 
 from raygrid.emulator.topology.socket_directory import Index
 from raygrid.node.errors import ProtocolError
-from raygrid.node.geometry.grid_walk import HOST
-from raygrid.node.protocol.counters import BORN, COUNTS, DIED, HITS, SENT, WALKS
-from raygrid.node.protocol.packets import KINDS, PacketKind
-from raygrid.node.runtime.probe import ARRIVALS
+from raygrid.node.geometry import HOST
+from raygrid.node.protocol import BORN, COUNTS, DIED, HITS, KINDS, SENT, WALKS, PacketKind
+from raygrid.node.runtime import ARRIVALS
 
 PHASES = ("idle", "load", "trace", "collect")
 PORTS = ("-x", "+x", "-y", "+y", "-z", "+z", "host", "self")  # in the order of node.walk

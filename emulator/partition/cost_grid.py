@@ -29,13 +29,21 @@ from numba.core import event
 from numpy.typing import NDArray
 
 from raygrid.emulator.partition.sampling_prepass import IS_PRIMARY, RETURNS, SHADED, T_END, Pilot
-from raygrid.node.geometry.bvh import DEPTH, LEAF_BIT, WORDS
-from raygrid.node.geometry.bvh_simd import push_boxes
-from raygrid.node.geometry.grid_walk import inverse
-from raygrid.node.geometry.lattice import LATTICE, T_MIN, Space, cell_index, coordinate, nearest
-from raygrid.node.jit.decorators import is_on_disk, lean, part
-from raygrid.node.tracing.shading import place
-from raygrid.node.tracing.traverse import FAREST, for_boxes
+from raygrid.node.geometry import (
+    DEPTH,
+    LATTICE,
+    LEAF_BIT,
+    T_MIN,
+    WORDS,
+    Space,
+    cell_index,
+    coordinate,
+    inverse,
+    nearest,
+    push_boxes,
+)
+from raygrid.node.jit import is_on_disk, lean, part
+from raygrid.node.tracing import FAREST, for_boxes, place
 
 F64 = NDArray[np.float64]
 TOTAL_SHARE = 0.5  # weight of the mean over cells beside the largest cell: they share a computer's cores, too

@@ -16,24 +16,43 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.node.geometry.bvh import DEPTH
-from raygrid.node.geometry.grid_walk import SELF, SELF_RAYS, inverse, passage
-from raygrid.node.geometry.lattice import LATTICE, T_MIN, Cell, Space, make_cell, make_space
-from raygrid.node.geometry.surface_tables import Surfaces
-from raygrid.node.geometry.surfaces import STORED_AS, Batch, Kind, SurfaceSet, merge
-from raygrid.node.jit.decorators import lean
-from raygrid.node.protocol.counters import COUNTS
-from raygrid.node.protocol.frame_tables import Frame
-from raygrid.node.protocol.messages import HEAD
-from raygrid.node.protocol.packets import PRIMARY, SHADOW, SIZE, read_u16, read_u24, read_u32, unit_vector
-from raygrid.node.tracing.camera import entry, eye_ray, image_point
-from raygrid.node.tracing.framebuffer import make_pixels
-from raygrid.node.tracing.local_geometry import build_surfaces
-from raygrid.node.tracing.output_queues import Outputs, make_outputs
-from raygrid.node.tracing.primaries import bear_primaries, new_cursor
-from raygrid.node.tracing.shading import light_direction, place
-from raygrid.node.tracing.step import edge_colour, step
-from raygrid.node.tracing.traverse import closest
+from raygrid.node.geometry import (
+    DEPTH,
+    LATTICE,
+    SELF,
+    SELF_RAYS,
+    STORED_AS,
+    T_MIN,
+    Batch,
+    Cell,
+    Kind,
+    Space,
+    Surfaces,
+    SurfaceSet,
+    inverse,
+    make_cell,
+    make_space,
+    merge,
+    passage,
+)
+from raygrid.node.jit import lean
+from raygrid.node.protocol import COUNTS, HEAD, PRIMARY, SHADOW, SIZE, Frame, read_u16, read_u24, read_u32, unit_vector
+from raygrid.node.tracing import (
+    Outputs,
+    bear_primaries,
+    build_surfaces,
+    closest,
+    edge_colour,
+    entry,
+    eye_ray,
+    image_point,
+    light_direction,
+    make_outputs,
+    make_pixels,
+    new_cursor,
+    place,
+)
+from raygrid.node.tracing.step import step
 
 F64 = NDArray[np.float64]
 Bytes = NDArray[np.uint8]

@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.node.errors import ArrayError
-from raygrid.node.geometry.lattice import HALF, LATTICE, THINNEST_CELL, Space, World, make_space
-from raygrid.node.geometry.surfaces import AddedKind, SurfaceSet
-from raygrid.node.protocol.frame_tables import Frame
+from raygrid.node.geometry import HALF, LATTICE, THINNEST_CELL, AddedKind, Space, SurfaceSet, World, make_space
+from raygrid.node.protocol import Frame
 
 F64 = NDArray[np.float64]
 Line = NDArray[np.int64]

@@ -31,8 +31,7 @@ if TYPE_CHECKING:
     from raygrid.emulator.driver.samples import Sample
     from raygrid.emulator.processes.control_channels import Words
     from raygrid.emulator.processes.node_processes import Crew, NodeState
-    from raygrid.node.links.faulty_channel import FaultPlan
-    from raygrid.node.links.zmq_channel import Pair
+    from raygrid.node.links import FaultPlan, Pair
 
 BATCH = 4096  # most packets a message
 TRIES = 3  # epochs that are begun before an array counts as one that cannot be
@@ -212,8 +211,8 @@ class Array:
         from raygrid.emulator.driver.driver import PATIENCE, Driver
         from raygrid.emulator.topology.topology import host_links
         from raygrid.emulator.topology.wiring import node_configs
-        from raygrid.node.geometry.spanning_tree import corners
-        from raygrid.node.links.zmq_channel import Pair
+        from raygrid.node.geometry import corners
+        from raygrid.node.links import Pair
 
         assert self._crew is not None
         assert self._place is not None
@@ -264,7 +263,7 @@ class Array:
         Samples only read: pictures, counts and machine time are the same with any rate. Raises ProtocolError for a
         rate that cannot be.
         """
-        from raygrid.node.runtime.probe import read_rate
+        from raygrid.node.runtime import read_rate
 
         self._rate, self._on_sample = read_rate({"rate": rate}), watch
         self._tell_rate()

@@ -6,7 +6,7 @@ import select
 from typing import Any
 
 from raygrid.emulator.topology.socket_directory import Index
-from raygrid.node.links.control_channel import Line
+from raygrid.node.links import Line
 
 Words = dict[str, Any]
 

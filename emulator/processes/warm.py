@@ -23,18 +23,33 @@ from raygrid.emulator.partition.split import split
 from raygrid.emulator.processes.kernel_kinds import NODES, NOTE, TIMED_NODES, compiling
 from raygrid.node import remarks
 from raygrid.node.errors import ArrayError
-from raygrid.node.geometry.lattice import LATTICE, World, make_space
-from raygrid.node.geometry.rigid_motion import SHIFT, Moves, at_rest, make_groups
-from raygrid.node.geometry.surfaces import STORED_AS, Batch, Kind, SurfaceSet
+from raygrid.node.geometry import (
+    LATTICE,
+    SHIFT,
+    STORED_AS,
+    Batch,
+    Kind,
+    Moves,
+    SurfaceSet,
+    World,
+    at_rest,
+    make_groups,
+    make_space,
+)
 from raygrid.node.jit import cache
-from raygrid.node.links.zmq_c_api import find_functions
-from raygrid.node.protocol.counters import COUNTS
-from raygrid.node.protocol.frame_tables import LIGHT_COLUMNS, MATERIAL_COLUMNS, Frame
-from raygrid.node.protocol.messages import HEAD
-from raygrid.node.protocol.packets import MAX_PIXEL_SAMPLES
-from raygrid.node.protocol.timestamps import Prices, prices_order
+from raygrid.node.links import find_functions
+from raygrid.node.protocol import (
+    COUNTS,
+    HEAD,
+    LIGHT_COLUMNS,
+    MATERIAL_COLUMNS,
+    MAX_PIXEL_SAMPLES,
+    Frame,
+    Prices,
+    prices_order,
+)
 from raygrid.node.runtime import profile
-from raygrid.node.tracing.background import add_missed
+from raygrid.node.tracing import add_missed
 
 Report = Callable[[int, int, str], None]
 

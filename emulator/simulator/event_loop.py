@@ -18,15 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.node.geometry.grid_walk import HOST, PORTS
-from raygrid.node.geometry.lattice import Cell, coordinate
-from raygrid.node.geometry.surface_tables import Surfaces
-from raygrid.node.jit.decorators import lean, part
-from raygrid.node.protocol.counters import BORN, COUNTS, DIED
-from raygrid.node.protocol.messages import HEAD
-from raygrid.node.protocol.packets import KINDS, PIXEL, PRIMARY, RETURN, SIZE, put_pixel
-from raygrid.node.protocol.timestamps import NEVER
-from raygrid.node.timed.service_clock import (
+from raygrid.node.geometry import HOST, PORTS, Cell, Surfaces, coordinate
+from raygrid.node.jit import lean, part
+from raygrid.node.protocol import BORN, COUNTS, DIED, HEAD, KINDS, NEVER, PIXEL, PRIMARY, RETURN, SIZE, put_pixel
+from raygrid.node.timed import (
     AFTER,
     BEFORE,
     FREE,
@@ -49,7 +44,7 @@ from raygrid.node.timed.service_clock import (
     serve,
     take,
 )
-from raygrid.node.tracing.primaries import bear_sample
+from raygrid.node.tracing import bear_sample
 
 Long = NDArray[np.int64]
 

@@ -17,14 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.emulator.simulator.shared_tables import described, described_meets
-from raygrid.node.geometry.grid_walk import HOST
-from raygrid.node.geometry.lattice import HALF, SLACK, Space
-from raygrid.node.geometry.spanning_tree import corners
-from raygrid.node.geometry.surfaces import SurfaceSet
-from raygrid.node.jit.decorators import kernel
-from raygrid.node.protocol.counters import SENT
-from raygrid.node.protocol.packets import SIZE
-from raygrid.node.protocol.timestamps import Prices
+from raygrid.node.geometry import HALF, HOST, SLACK, Space, SurfaceSet, corners
+from raygrid.node.jit import kernel
+from raygrid.node.protocol import SENT, SIZE, Prices
 
 Long = NDArray[np.int64]
 

@@ -11,11 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.node.geometry.lattice import Space
-from raygrid.node.jit.decorators import kernel
-from raygrid.node.protocol.frame_tables import Frame
-from raygrid.node.tracing.camera import entry, eye_ray, home, image_point
-from raygrid.node.tracing.primaries import COARSEST
+from raygrid.node.geometry import Space
+from raygrid.node.jit import kernel
+from raygrid.node.protocol import Frame
+from raygrid.node.tracing import COARSEST, entry, eye_ray, home, image_point
 
 Long = NDArray[np.int64]
 

@@ -19,14 +19,32 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.node.geometry.bvh import COUNT_SHIFT, FIRST_MASK, LEAF_BIT, WORDS, build
-from raygrid.node.geometry.bvh_simd import CHILDREN, WIDE
-from raygrid.node.geometry.lattice import HALF, LATTICE, SLACK, Space, make_cell, make_space
-from raygrid.node.geometry.overlap import surface_meets
-from raygrid.node.geometry.surface_tables import KIND_SHIFT, Surfaces
-from raygrid.node.geometry.surfaces import STORED_AS, AnyKind, Batch, Kind, SurfaceSet, merge
-from raygrid.node.jit.decorators import kernel, part
-from raygrid.node.tracing.local_geometry import build_surfaces, empty_surfaces
+from raygrid.node.geometry import (
+    CHILDREN,
+    COUNT_SHIFT,
+    FIRST_MASK,
+    HALF,
+    KIND_SHIFT,
+    LATTICE,
+    LEAF_BIT,
+    SLACK,
+    STORED_AS,
+    WIDE,
+    WORDS,
+    AnyKind,
+    Batch,
+    Kind,
+    Space,
+    Surfaces,
+    SurfaceSet,
+    build,
+    make_cell,
+    make_space,
+    merge,
+    surface_meets,
+)
+from raygrid.node.jit import kernel, part
+from raygrid.node.tracing import build_surfaces, empty_surfaces
 
 Long = NDArray[np.int64]
 

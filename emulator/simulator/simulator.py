@@ -19,15 +19,9 @@ from raygrid.emulator.simulator.sample_order import order_of_pixels, order_of_sa
 from raygrid.emulator.simulator.shared_tables import holdings, one_hierarchy, ordered, trees
 from raygrid.emulator.topology.limits import check_simulated_fits, read_memory
 from raygrid.node.errors import ArrayError, TooLarge
-from raygrid.node.geometry.bvh import DEPTH
-from raygrid.node.geometry.lattice import Space
-from raygrid.node.geometry.surface_tables import Surfaces
-from raygrid.node.geometry.surfaces import SurfaceSet
-from raygrid.node.protocol.counters import BORN, COUNTS, DIED
-from raygrid.node.protocol.frame_tables import Frame
-from raygrid.node.protocol.packets import KINDS, SIZE
-from raygrid.node.protocol.timestamps import Prices
-from raygrid.node.timed.service_clock import (
+from raygrid.node.geometry import DEPTH, Space, Surfaces, SurfaceSet
+from raygrid.node.protocol import BORN, COUNTS, DIED, KINDS, SIZE, Frame, Prices
+from raygrid.node.timed import (
     BUSY,
     ENDED,
     FIELDS,
@@ -43,8 +37,7 @@ from raygrid.node.timed.service_clock import (
     grown,
     make_timed,
 )
-from raygrid.node.tracing.framebuffer import Pixels
-from raygrid.node.tracing.output_queues import make_outputs
+from raygrid.node.tracing import Pixels, make_outputs
 
 Long = NDArray[np.int64]
 TURN_EVENTS = 1 << 20  # between two looks at signals and progress

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-from raygrid.node.geometry.grid_walk import HOST
-from raygrid.node.geometry.spanning_tree import corners
-from raygrid.node.links.link import Channel, Link
+from raygrid.node.geometry import HOST, corners
+from raygrid.node.links import Channel, Link
 
 Index = tuple[int, int, int]
 

@@ -6,8 +6,7 @@ from typing import Any
 
 from raygrid.emulator.topology.socket_directory import Index, endpoint, host_endpoint
 from raygrid.emulator.topology.topology import indices, neighbour_links
-from raygrid.node.geometry.grid_walk import HOST
-from raygrid.node.geometry.spanning_tree import corners
+from raygrid.node.geometry import HOST, corners
 
 Config = dict[str, Any]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from raygrid.node.runtime.profile_parts import PARTS
+from raygrid.node.runtime import PARTS
 
 
 def profile_table(nodes: list[dict[str, Any]]) -> list[str]:

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from raygrid.emulator.processes.kernel_kinds import KINDS, NOTE, kind_of
+from raygrid.emulator.processes import KINDS, NOTE, kind_of
 from raygrid.host.text.clean_text import printable
 
 if TYPE_CHECKING:
-    from raygrid.emulator.driver.driver import Progress
+    from raygrid.emulator.driver import Progress
     from raygrid.host.render.retry import Fault
 
 PHASES = {"load": "loading surfaces", "trace": "tracing", "collect": "collecting pixels"}

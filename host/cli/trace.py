@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from raygrid.emulator.analysis.provenance import Provenance, Ray, Sample
+from raygrid.emulator.analysis import Provenance, Ray, Sample
 from raygrid.host.render.job import Job
 from raygrid.host.scene.scene import light_kind
 from raygrid.host.text.misuse import SceneMisuse
-from raygrid.node.geometry.surfaces import AnyKind
-from raygrid.node.tracing.framebuffer import UNIT
+from raygrid.node.geometry import AnyKind
+from raygrid.node.tracing import UNIT
 
 VERSION = 1
 SHADOW = "shadow"

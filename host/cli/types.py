@@ -55,7 +55,7 @@ class Shape(AnyType):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int, int]:
         """Raises a usage error for anything but three whole numbers of 1 or more."""
-        from raygrid.emulator.topology.limits import parse_shape
+        from raygrid.emulator.topology import parse_shape
 
         if isinstance(value, tuple):
             return value
@@ -104,7 +104,7 @@ class Fault(AnyType):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Raises a usage error for anything that `parse_fault` refuses."""
-        from raygrid.node.links.faulty_channel import parse_fault
+        from raygrid.node.links import parse_fault
 
         try:
             return parse_fault(str(value))

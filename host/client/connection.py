@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeVar
 
-from raygrid.emulator.topology.socket_directory import LONGEST_PATH, STATES, process_state
+from raygrid.emulator.topology import LONGEST_PATH, STATES, process_state
 from raygrid.host.client.protocol import VERSION, Message, Splitter, pack, unsendable
 from raygrid.host.client.service_files import SOCKET, TOKEN, Record, check_private, read_private
 from raygrid.node.errors import ArrayError, ProtocolError

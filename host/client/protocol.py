@@ -17,7 +17,7 @@ from typing import Any
 import msgpack
 
 from raygrid.node.errors import ProtocolError
-from raygrid.node.protocol.codec import Limits, read_map
+from raygrid.node.protocol import Limits, read_map
 
 Message = dict[str, Any]
 

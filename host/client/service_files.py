@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from raygrid.emulator.topology.socket_directory import process_mark
+from raygrid.emulator.topology import process_mark
 from raygrid.host.files.state_home import state_home
 from raygrid.node.errors import ArrayError
 

@@ -25,8 +25,8 @@ from raygrid.host.scene.cameras import Camera, Span
 from raygrid.host.scene.load import load_scene
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry.surfaces import F64
-from raygrid.node.protocol.frame import DIRECTIONAL
+from raygrid.node.geometry import F64
+from raygrid.node.protocol import DIRECTIONAL
 
 REACH = 1e3  # the scene's box and the eye measure this to ten times this in POV-Ray's units
 NEAR = 1e-5  # an inverse square is POV-Ray's 2 / (1 + (r / d)^2) with d this part of REACH

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry.surfaces import F64, Batch, Kind, SurfaceSet
+from raygrid.node.geometry import F64, Batch, Kind, SurfaceSet
 
 MOST = 0.999  # transmission above which the diffuse part, given by what is left of 1, would lose its precision
 MOST_NESTED = 10_000  # transparent spheres that are looked at for which is in which

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from raygrid.host.image.outputs import FORMATS, SUMS, check_picture_path, check_side, suffix_of, write_whole
 from raygrid.host.image.transfer import TRANSFERS, to_bytes
 from raygrid.node.errors import OutputError
-from raygrid.node.tracing.framebuffer import UNIT
+from raygrid.node.tracing import UNIT
 
 MOST_AHEAD = 1 << 22  # pixels of a picture that is encoded in memory
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.node.tracing.framebuffer import UNIT
+from raygrid.node.tracing import UNIT
 
 TRANSFERS = ("srgb", "linear")
 FINE = 12  # the steepest part of sRGB has a byte for every 2^24 / (12.92 * 255) = 5,092 units

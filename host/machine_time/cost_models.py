@@ -23,11 +23,26 @@ from raygrid.host.scene.builder import shown
 from raygrid.host.scene.formats.toml_errors import Key, located, shown_key
 from raygrid.host.text.misuse import CostMisuse
 from raygrid.node.errors import CostError
-from raygrid.node.geometry.grid_walk import HOST
-from raygrid.node.geometry.surfaces import Kind
-from raygrid.node.protocol.counters import BORN, BOXES, COUNTS, DIED, HITS, HOMES, SENT, TESTS, WALKS
-from raygrid.node.protocol.packets import PIXEL, PRIMARY, REFLECTED, REFRACTED, RETURN, SHADOW, SIZE
-from raygrid.node.protocol.timestamps import Prices
+from raygrid.node.geometry import HOST, Kind
+from raygrid.node.protocol import (
+    BORN,
+    BOXES,
+    COUNTS,
+    DIED,
+    HITS,
+    HOMES,
+    PIXEL,
+    PRIMARY,
+    REFLECTED,
+    REFRACTED,
+    RETURN,
+    SENT,
+    SHADOW,
+    SIZE,
+    TESTS,
+    WALKS,
+    Prices,
+)
 
 LEVELS = ("low", "middle", "high")
 SEARCHES = ("list", "tree")

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.emulator.simulator.event_loop import LINKS, SERVICES, WAITS
+from raygrid.emulator.simulator import LINKS, SERVICES, WAITS
 from raygrid.host.image.outputs import write_whole
 from raygrid.node.errors import OutputError
-from raygrid.node.geometry.grid_walk import PORTS
-from raygrid.node.timed.service_clock import BUSY, PACKETS_SENT
+from raygrid.node.geometry import PORTS
+from raygrid.node.timed import BUSY, PACKETS_SENT
 
 if TYPE_CHECKING:
     from raygrid.host.machine_time.simulate import Simulated

@@ -21,16 +21,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.emulator.simulator.simulator import make_model, trace
+from raygrid.emulator.simulator import make_model, trace
 from raygrid.host.machine_time.cost_models import CostModel
 from raygrid.host.render.animation_jobs import still_job
 from raygrid.host.render.job import Settings
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import OutputError
-from raygrid.node.geometry.grid_walk import PORTS
-from raygrid.node.protocol.counters import BORN, SENT
-from raygrid.node.protocol.packets import PRIMARY
-from raygrid.node.timed.service_clock import BUSY
+from raygrid.node.geometry import PORTS
+from raygrid.node.protocol import BORN, PRIMARY, SENT
+from raygrid.node.timed import BUSY
 
 F64 = NDArray[np.float64]
 KINDS = {"square": 2, "cubic": 3}  # and how many edges its processors have

@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.emulator.processes import compile_clock
-from raygrid.emulator.simulator.flood_time import Flooded, flood
-from raygrid.emulator.simulator.shared_tables import ordered
-from raygrid.emulator.simulator.simulator import Model, Phase, make_model, read_out, trace
+from raygrid.emulator.simulator import Flooded, Model, Phase, flood, make_model, ordered, read_out, trace
 from raygrid.host.machine_time.cost_models import LEVELS, CostModel
 from raygrid.host.render.frame import add_misses
 from raygrid.host.render.job import Job

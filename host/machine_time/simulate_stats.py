@@ -10,18 +10,15 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.emulator.simulator.event_loop import LINKS, SERVICES, WAITS
-from raygrid.emulator.simulator.simulator import Phase
-from raygrid.emulator.topology.topology import indices
+from raygrid.emulator.simulator import LINKS, SERVICES, WAITS, Phase
+from raygrid.emulator.topology import indices
 from raygrid.host.image.outputs import write_whole
 from raygrid.host.machine_time.cost_models import LEVELS
 from raygrid.host.machine_time.simulate import Simulated
-from raygrid.node.geometry.grid_walk import PORTS
-from raygrid.node.geometry.surfaces import SURFACE_KINDS, Kind
-from raygrid.node.protocol.counters import BORN, BOXES, DIED, HITS, SENT, TESTS, WALKS
-from raygrid.node.protocol.packets import PacketKind
-from raygrid.node.timed.service_clock import BUSY, ENDED, MOST_WAITING, PACKETS_SENT, SERVED, WAITED, WALKED
-from raygrid.node.tracing.framebuffer import UNIT
+from raygrid.node.geometry import PORTS, SURFACE_KINDS, Kind
+from raygrid.node.protocol import BORN, BOXES, DIED, HITS, SENT, TESTS, WALKS, PacketKind
+from raygrid.node.timed import BUSY, ENDED, MOST_WAITING, PACKETS_SENT, SERVED, WAITED, WALKED
+from raygrid.node.tracing import UNIT
 
 VERSION = 1
 PORT_NAMES = ("-x", "+x", "-y", "+y", "-z", "+z")

@@ -10,7 +10,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from raygrid.emulator.driver.samples import PHASES, Sample
+from raygrid.emulator.driver import PHASES, Sample
 from raygrid.host.image.outputs import write_whole
 from raygrid.host.probes.sums import Gauges, NodeState
 

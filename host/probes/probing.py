@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from types import TracebackType
 from typing import NamedTuple
 
-from raygrid.emulator.driver.samples import Sample
+from raygrid.emulator.driver import Sample
 from raygrid.host.files.input_guard import check_outputs
 from raygrid.host.image.outputs import check_named
 from raygrid.host.probes.chrome_trace import ChromeTrace

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import IO, Any
 
-from raygrid.emulator.driver.samples import Sample
+from raygrid.emulator.driver import Sample
 from raygrid.host.files.input_guard import check_kept, note
 from raygrid.host.image.outputs import check_named, open_now
 from raygrid.host.probes.sums import NodeState, sample_record

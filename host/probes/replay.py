@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator
 
-from raygrid.emulator.driver.samples import Sample
+from raygrid.emulator.driver import Sample
 from raygrid.host.probes.record import replay
 from raygrid.host.probes.sums import Index
 

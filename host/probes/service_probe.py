@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-from raygrid.emulator.driver.samples import Sample
+from raygrid.emulator.driver import Sample
 from raygrid.host.client.connection import Connection, Listener
 from raygrid.host.client.service_files import find
 from raygrid.host.probes.probing import Feed

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from raygrid.emulator.driver.samples import Sample
+from raygrid.emulator.driver import Sample
 
 Shape = tuple[int, int, int]
 Index = tuple[int, int, int]

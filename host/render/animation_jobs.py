@@ -12,14 +12,25 @@ from dataclasses import replace
 
 import numpy as np
 
-from raygrid.emulator.partition.split import SPLITS, split
+from raygrid.emulator.partition import SPLITS
+from raygrid.emulator.partition.split import split
 from raygrid.host.render.job import Job, Settings, check_program, make_frame, make_job
 from raygrid.host.scene.animation.animation import Shot, moved_point, moving_batches, shot_bounds
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry.lattice import World, world_around
-from raygrid.node.geometry.rigid_motion import SCALE, SHIFT, Moves, fault_of, placed
-from raygrid.node.geometry.surfaces import F64, Batch, Kind, SurfaceSet
+from raygrid.node.geometry import (
+    F64,
+    SCALE,
+    SHIFT,
+    Batch,
+    Kind,
+    Moves,
+    SurfaceSet,
+    World,
+    fault_of,
+    placed,
+    world_around,
+)
 
 Shape = tuple[int, int, int]
 

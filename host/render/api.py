@@ -10,10 +10,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from raygrid.emulator.driver.driver import BUDGET, PATIENCE
-from raygrid.emulator.driver.samples import Sample
-from raygrid.emulator.processes.array import BATCH, Array
-from raygrid.emulator.topology.limits import parse_shape
+from raygrid.emulator.driver import BUDGET, PATIENCE, Sample
+from raygrid.emulator.processes import BATCH, Array
+from raygrid.emulator.topology import parse_shape
 from raygrid.host.image.picture import Picture
 from raygrid.host.render.animation_jobs import jobs_of
 from raygrid.host.render.frame import Watch
@@ -23,7 +22,7 @@ from raygrid.host.render.retry import ATTEMPTS, render_steadily
 from raygrid.host.scene.load import load_scene
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import ArrayError
-from raygrid.node.links.faulty_channel import parse_fault
+from raygrid.node.links import parse_fault
 
 MOST_BATCH = 8192  # packets; their message stays far below the longest that a link takes
 

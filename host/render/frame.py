@@ -9,16 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.emulator.driver.collector import Collected, Samples
-from raygrid.emulator.driver.driver import BUDGET, Driver, Progress
-from raygrid.emulator.driver.increments import is_held
-from raygrid.emulator.topology.limits import read_memory
+from raygrid.emulator.driver import BUDGET, Collected, Driver, Progress, Samples, is_held
+from raygrid.emulator.topology import read_memory
 from raygrid.host.image.picture import Picture
 from raygrid.host.render.job import Job, rays_enter
 from raygrid.host.render.stats import make_stats
 from raygrid.node.errors import ArrayError, Garbled, TooLarge
-from raygrid.node.geometry.lattice import LONGEST_STEP
-from raygrid.node.tracing.framebuffer import MAX_INTENSITY, UNIT
+from raygrid.node.geometry import LONGEST_STEP
+from raygrid.node.tracing import MAX_INTENSITY, UNIT
 
 MOST_BUDGET = (1 << 32) - 1  # a quota of primary rays travels as a u32
 PIXEL_BYTES = 96  # of one pixel in its home, in the sums collected, and while its picture is made
@@ -151,7 +149,7 @@ def add_misses(job: Job, sums: NDArray[np.int64], samples: Samples) -> None:
         for_host(program).add_missed(frame, job.space.step, sums)
         return
     if frame.discs:
-        from raygrid.node.tracing.background import add_missed
+        from raygrid.node.tracing import add_missed
 
         add_missed(frame, job.space.step, sums)
         return

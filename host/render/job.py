@@ -11,19 +11,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.emulator.partition.split import SPLITS, split
+from raygrid.emulator.partition import SPLITS
+from raygrid.emulator.partition.split import split
 from raygrid.host.scene.load import WantsProgram
 from raygrid.host.scene.scene import Scene
 from raygrid.host.text.misuse import SceneMisuse
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry.lattice import HALF, Space, World, world_around
-from raygrid.node.geometry.rigid_motion import Moves
-from raygrid.node.geometry.surfaces import AddedKind, SurfaceSet
-from raygrid.node.programs.programs import Program
-from raygrid.node.protocol.commands import MAX_SIDE
-from raygrid.node.protocol.frame import POINT
-from raygrid.node.protocol.frame_tables import Frame, light_table, material_table
-from raygrid.node.protocol.packets import MAX_DEPTH, MAX_LIGHTS, MAX_SAMPLES
+from raygrid.node.geometry import HALF, AddedKind, Moves, Space, SurfaceSet, World, world_around
+from raygrid.node.programs import Program
+from raygrid.node.protocol import (
+    MAX_DEPTH,
+    MAX_LIGHTS,
+    MAX_SAMPLES,
+    MAX_SIDE,
+    POINT,
+    Frame,
+    light_table,
+    material_table,
+)
 
 DEFAULT_SIZE = (512, 512)
 DEFAULT_DEPTH = 5  # as the Standard Procedural Databases ask

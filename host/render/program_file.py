@@ -9,7 +9,7 @@ from raygrid.host.files.input_guard import note
 from raygrid.host.scene.file_access import read_bytes
 from raygrid.host.scene.load import check_program_name
 from raygrid.node.errors import ProtocolError, SceneError
-from raygrid.node.programs.programs import Compiled, Program, make_program, program_order
+from raygrid.node.programs import Compiled, Program, make_program, program_order
 
 
 def read_program(path: str | Path) -> Program:
@@ -28,7 +28,7 @@ def read_program(path: str | Path) -> Program:
 @lru_cache(maxsize=4)
 def for_host(program: Program) -> Compiled:
     """The program compiled for what the host does itself: the rays that never enter the world box."""
-    from raygrid.node.runtime.self_test import ready_program
+    from raygrid.node.runtime import ready_program
 
     found = ready_program(program_order(program), allowed=True)
     assert found is not None

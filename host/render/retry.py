@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from raygrid.emulator.driver.driver import BUDGET, Progress
-from raygrid.emulator.processes.array import Array
+from raygrid.emulator.driver import BUDGET, Progress
+from raygrid.emulator.processes import Array
 from raygrid.host.image.picture import Picture
 from raygrid.host.render.frame import Watch, render_job
 from raygrid.host.render.job import Job

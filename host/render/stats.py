@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from raygrid.emulator.driver.driver import Driver, Progress
+from raygrid.emulator.driver import Driver, Progress
 from raygrid.host.image.outputs import write_whole
 from raygrid.host.render.job import Job
-from raygrid.node.links.zmq_c_api import why_python
-from raygrid.node.protocol.packets import PacketKind
-from raygrid.node.tracing.framebuffer import UNIT
+from raygrid.node.links import why_python
+from raygrid.node.protocol import PacketKind
+from raygrid.node.tracing import UNIT
 
 VERSION = 1
 

@@ -20,18 +20,8 @@ from raygrid.host.scene.polygons import (
     triangulate,
 )
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry.surfaces import (
-    F64,
-    MAX_MATERIALS,
-    MAX_SURFACES,
-    STRIDE,
-    AnyKind,
-    Batch,
-    Kind,
-    SurfaceSet,
-    merge,
-)
-from raygrid.node.protocol.frame import MATERIAL
+from raygrid.node.geometry import F64, MAX_MATERIALS, MAX_SURFACES, STRIDE, AnyKind, Batch, Kind, SurfaceSet, merge
+from raygrid.node.protocol import MATERIAL
 
 Table = NDArray[np.void]
 

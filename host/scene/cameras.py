@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from raygrid.node.errors import SceneError
-from raygrid.node.protocol.frame import CAMERA
+from raygrid.node.protocol import CAMERA
 
 Vector = tuple[float, float, float]
 

@@ -12,7 +12,7 @@ from collections import defaultdict
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.node.geometry.surfaces import F64
+from raygrid.node.geometry import F64
 
 Ints = NDArray[np.int64]
 CONVEX = 1e-9  # a corner may turn the wrong way by this sine: nearly straight corners of rounded numbers

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from raygrid.host.scene.cameras import Camera
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry.surfaces import F64
-from raygrid.node.protocol.frame import DIRECTIONAL, LIGHT, POINT
+from raygrid.node.geometry import F64
+from raygrid.node.protocol import DIRECTIONAL, LIGHT, POINT
 
 Table = NDArray[np.void]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.host.scene.ear_clipping import CONVEX, clip_ears
-from raygrid.node.geometry.surfaces import F64
+from raygrid.node.geometry import F64
 
 Ints = NDArray[np.int64]
 Mask = NDArray[np.bool_]

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.host.scene.cameras import Camera
-from raygrid.node.geometry.surfaces import SURFACE_KINDS, SurfaceSet
-from raygrid.node.protocol.frame import DIRECTIONAL
+from raygrid.node.geometry import SURFACE_KINDS, SurfaceSet
+from raygrid.node.protocol import DIRECTIONAL
 
 if TYPE_CHECKING:
     from raygrid.host.scene.animation.animation import Shot

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from raygrid.host.scene.builder import Table
 from raygrid.host.scene.file_access import take_texels
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry.surfaces import F64
+from raygrid.node.geometry import F64
 
 Bytes = NDArray[np.uint8]
 Ints = NDArray[np.int64]

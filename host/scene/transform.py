@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry.surfaces import F64, Batch, Kind
+from raygrid.node.geometry import F64, Batch, Kind
 
 UNIFORM = 1e-9  # how far a scale may differ along the axes, as a part of it, and still count as the same
 

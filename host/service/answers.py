@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from raygrid.host.client.protocol import LONGEST
 from raygrid.host.service.job_facts import first_page
 from raygrid.node.errors import ArrayError
-from raygrid.node.links.zmq_c_api import why_python
+from raygrid.node.links import why_python
 
 if TYPE_CHECKING:
     from raygrid.host.client.protocol import Message

@@ -7,13 +7,11 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from raygrid.emulator.processes.array import Array
-from raygrid.emulator.processes.node_processes import RESET_SECONDS, RESET_SECONDS_A_NODE
+from raygrid.emulator.processes import RESET_SECONDS, RESET_SECONDS_A_NODE, Array
 from raygrid.node.errors import ArrayError, ProtocolError, RaygridError, TooLarge
 
 if TYPE_CHECKING:
-    from raygrid.emulator.driver.driver import Progress
-    from raygrid.emulator.driver.samples import Sample
+    from raygrid.emulator.driver import Progress, Sample
     from raygrid.host.image.picture import Picture
     from raygrid.host.render.frame import Watch
     from raygrid.host.render.retry import Fault

@@ -7,8 +7,8 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from raygrid.emulator.topology.socket_directory import STATES
-from raygrid.node.runtime.memory_stats import proportional_memory
+from raygrid.emulator.topology import STATES
+from raygrid.node.runtime import proportional_memory
 
 TICKS = os.sysconf("SC_CLK_TCK")
 NODE_STATES = STATES | {"": "gone"}  # told apart from one that has ended and waits to be reaped

@@ -11,7 +11,7 @@ import signal
 from collections.abc import Iterator
 from typing import Any
 
-from raygrid.emulator.topology.socket_directory import Place
+from raygrid.emulator.topology import Place
 from raygrid.host.client.service_files import JOURNAL, Home
 from raygrid.host.service.service import ENDING, Service
 from raygrid.host.service.worker import Options

@@ -17,7 +17,7 @@ from raygrid.host.scene.animation.turntable import turntable
 from raygrid.host.scene.load import load_scene
 from raygrid.host.scene.scene import Scene
 from raygrid.host.scene.sources import Sources, recorded
-from raygrid.node.geometry.rigid_motion import Moves
+from raygrid.node.geometry import Moves
 
 MOST_KEPT = 4  # scenes and settings
 

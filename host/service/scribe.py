@@ -21,13 +21,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from raygrid.emulator.processes.fork_server_client import ONE_THREAD, SIGNALS
-from raygrid.emulator.topology.socket_directory import process_state
+from raygrid.emulator.processes import ONE_THREAD, SIGNALS
+from raygrid.emulator.topology import process_state
 from raygrid.host.files.part_files import FILE as PART
 from raygrid.host.service.pickled_calls import Shared, pack, receiving
 from raygrid.node.errors import RaygridError
-from raygrid.node.geometry.rigid_motion import Groups
-from raygrid.node.geometry.surfaces import SurfaceSet
+from raygrid.node.geometry import Groups, SurfaceSet
 
 if TYPE_CHECKING:
     import numpy as np

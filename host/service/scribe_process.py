@@ -19,13 +19,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from raygrid.emulator.processes.fork_server import end_with_parent
+from raygrid.emulator.processes import end_with_parent
 from raygrid.host.service.pickled_calls import Shared, pack, receiving
 from raygrid.host.service.scene_store import Ready, SceneStore, wanted_by
 from raygrid.host.service.scribe import SHARED, Begun, Finished
 from raygrid.host.text.error_text import told
 from raygrid.node.errors import RaygridError
-from raygrid.node.geometry.surfaces import SurfaceSet
+from raygrid.node.geometry import SurfaceSet
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from raygrid.host.client.requests import Submit
     from raygrid.host.image.picture import Picture
     from raygrid.host.service.job_files import JobFiles
-    from raygrid.node.programs.programs import Program
-    from raygrid.node.protocol.frame_tables import Frame
+    from raygrid.node.programs import Program
+    from raygrid.node.protocol import Frame
 
 UNANSWERED = ("warm", "sweep")
 FILMS = "films"  # in the state directory: frames that wait to be played, a directory a job

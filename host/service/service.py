@@ -17,7 +17,7 @@ from collections import Counter, deque
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
-from raygrid.emulator.topology.socket_directory import Place, process_mark
+from raygrid.emulator.topology import Place, process_mark
 from raygrid.host.client.service_files import Home, LockTaken, Record
 from raygrid.host.service.worker import Event, Options, Task, Worker
 from raygrid.host.text.clean_text import printable

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from raygrid.emulator.driver.driver import Progress
+    from raygrid.emulator.driver import Progress
     from raygrid.host.client.requests import Submit
     from raygrid.host.image.picture import Picture
     from raygrid.host.render.job import Job

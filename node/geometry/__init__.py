@@ -1,1 +1,8 @@
-"""Holds space and surfaces: the lattice, the walk over cells, surfaces and their motions, hits, the hierarchy, the flood's tree."""
+"""Holds space and surfaces: the lattice, the walk over cells, surfaces and their motions, hits, the hierarchy, the flood's tree.
+
+What it gives to other layers is listed in `__init__.pyi`; each name is loaded when it is first used.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from raygrid.emulator.processes.array import Array
+from raygrid.emulator.processes import Array
 from raygrid.host.cli.progress import Talk
 from raygrid.host.files.input_guard import check_outputs
 from raygrid.host.files.part_files import sweep_folders

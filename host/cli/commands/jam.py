@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from raygrid.emulator.analysis.deadlock_model import NaiveMachine, Outcome, Waiting, surely_free
-from raygrid.emulator.processes.kernel_kinds import LOOKING
+from raygrid.emulator.analysis import NaiveMachine, Outcome, Waiting, surely_free
+from raygrid.emulator.processes import LOOKING
 from raygrid.host.cli.commands.simulate import compiling
 from raygrid.host.cli.progress import Talk
 from raygrid.host.image.outputs import write_result

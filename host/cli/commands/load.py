@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from raygrid.emulator.processes.array import Array
+from raygrid.emulator.processes import Array
 from raygrid.host.cli.progress import Talk
 from raygrid.host.image.outputs import write_result
 from raygrid.host.scene.load import check_allowed

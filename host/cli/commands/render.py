@@ -12,7 +12,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from raygrid.emulator.processes.array import Array
+from raygrid.emulator.processes import Array
 from raygrid.host.cli.commands.frames import run_frames
 from raygrid.host.cli.progress import Talk
 from raygrid.host.files.input_guard import check_outputs, note
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from raygrid.host.image.picture import Ahead, Picture
     from raygrid.host.probes.probing import Probing
     from raygrid.host.render.job import Job
-    from raygrid.node.links.faulty_channel import FaultPlan
-    from raygrid.node.programs.programs import Program
+    from raygrid.node.links import FaultPlan
+    from raygrid.node.programs import Program
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ def _render(request: Request, talk: Talk, begun: float, probing: Probing | None)
 def _prices(name: str, search: str | None) -> dict[str, Any]:
     """The middle prices of a cost model as an order carries them. Raises CostError."""
     from raygrid.host.machine_time.cost_models import load_cost_model
-    from raygrid.node.protocol.timestamps import prices_order
+    from raygrid.node.protocol import prices_order
 
     cost = load_cost_model(name)
     chosen = search or cost.file.search

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from raygrid.emulator.processes.kernel_kinds import SIMULATOR
+from raygrid.emulator.processes import SIMULATOR
 from raygrid.host.cli.progress import Talk
 from raygrid.host.files.input_guard import STANDARD, check_outputs, note
 from raygrid.host.image.outputs import (
@@ -97,7 +97,7 @@ def _simulate(request: Request, talk: Talk) -> Simulated:
 
 def told(talk: Talk) -> Any:
     """A teller for `simulate_job`: the phase, events so far, and how many a second."""
-    from raygrid.emulator.processes.compile_clock import now
+    from raygrid.emulator.processes import now
 
     begun = now()
 
@@ -110,7 +110,7 @@ def told(talk: Talk) -> Any:
 
 def compiling(talk: Talk, kind: str = SIMULATOR) -> Any:
     """While this lasts, kernels that have to be compiled are told of."""
-    from raygrid.emulator.processes.warm import told_of
+    from raygrid.emulator.processes import told_of
 
     return told_of(talk.warming, kind, KERNELS)
 

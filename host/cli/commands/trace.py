@@ -7,7 +7,7 @@ import sys
 from dataclasses import dataclass
 from typing import Any
 
-from raygrid.emulator.processes.kernel_kinds import LOOKING
+from raygrid.emulator.processes import LOOKING
 from raygrid.host.cli.commands.simulate import compiling
 from raygrid.host.cli.progress import Talk
 from raygrid.host.cli.trace import headline, plain_lines, ray_line, sample_line, trace_pixel

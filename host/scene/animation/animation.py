@@ -18,8 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from raygrid.host.scene.cameras import Camera
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry.rigid_motion import NO_MOTION, SCALE, SHIFT, Groups, moved_rows
-from raygrid.node.geometry.surfaces import F64, Batch, Kind, SurfaceSet
+from raygrid.node.geometry import F64, NO_MOTION, SCALE, SHIFT, Batch, Groups, Kind, SurfaceSet, moved_rows
 
 MAX_FRAMES = 1_000_000
 FPS = 24.0

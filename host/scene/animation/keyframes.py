@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry.surfaces import F64
+from raygrid.node.geometry import F64
 
 WAYS = ("linear", "smooth", "step")
 

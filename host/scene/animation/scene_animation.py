@@ -15,8 +15,7 @@ from raygrid.host.scene.formats import toml_schema as schema
 from raygrid.host.scene.lights import Table, light_table
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry.rigid_motion import at_rest
-from raygrid.node.geometry.surfaces import F64
+from raygrid.node.geometry import F64, at_rest
 
 Model = TypeVar("Model", bound=schema.Table)
 

@@ -11,8 +11,7 @@ from raygrid.host.scene.cameras import Camera, Vector
 from raygrid.host.scene.lights import exposure_point
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry.rigid_motion import at_rest, make_groups
-from raygrid.node.geometry.surfaces import F64
+from raygrid.node.geometry import F64, at_rest, make_groups
 
 GROUP = "scene"
 

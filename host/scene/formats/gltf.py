@@ -41,8 +41,7 @@ from raygrid.host.scene.lights import (
 from raygrid.host.scene.scene import Scene
 from raygrid.host.scene.textures import Bytes, as_bytes, bake
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry.rigid_motion import make_groups
-from raygrid.node.geometry.surfaces import F64, Kind
+from raygrid.node.geometry import F64, Kind, make_groups
 
 Ints = NDArray[np.int64]
 

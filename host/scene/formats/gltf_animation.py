@@ -21,8 +21,7 @@ from raygrid.host.scene.formats.gltf_document import Document
 from raygrid.host.scene.lights import Table, light_table
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry.rigid_motion import at_rest
-from raygrid.node.geometry.surfaces import F64
+from raygrid.node.geometry import F64, at_rest
 
 WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 UNEVEN = 1e-4  # how far a motion may be from turning and even scaling, as a part of its scale: files hold binary32

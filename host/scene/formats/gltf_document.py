@@ -21,7 +21,7 @@ from raygrid.host.scene.builder import shown
 from raygrid.host.scene.file_access import read_bytes
 from raygrid.host.text.clean_text import unreadable
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry.surfaces import F64
+from raygrid.node.geometry import F64
 
 COMPONENTS: dict[int, str] = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}

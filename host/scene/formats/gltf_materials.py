@@ -25,7 +25,7 @@ from raygrid.host.scene.builder import IORS, LEAST_IOR, MOST_IOR, Table, materia
 from raygrid.host.scene.formats.gltf_document import Document
 from raygrid.host.scene.formats.mtl import GREY
 from raygrid.host.scene.textures import Bytes, Texture, Wrap, read_picture
-from raygrid.node.geometry.surfaces import F64
+from raygrid.node.geometry import F64
 
 MAX_SHINE = 1000.0  # a sharper highlight would be smaller than a pixel
 WEBP = "EXT_texture_webp"  # a texture whose picture is WebP, with or without another that is not

@@ -23,7 +23,7 @@ from raygrid.host.scene.finish import Y_UP, Z_UP, finish_scene
 from raygrid.host.scene.formats.mtl import GREY
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry.surfaces import F64, Kind
+from raygrid.node.geometry import F64, Kind
 
 STL_HEADER, STL_FACET = 84, 50  # bytes of a binary STL
 

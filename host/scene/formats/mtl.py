@@ -11,7 +11,7 @@ from raygrid.host.scene.builder import Table, material, shown
 from raygrid.host.scene.file_access import find_bytes
 from raygrid.host.scene.textures import Texture, read_picture
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry.surfaces import F64
+from raygrid.node.geometry import F64
 
 GREY = material(diffuse=0.8)  # of meshes that name no material
 WHITE = material(diffuse=1.0)  # of those that bring colours

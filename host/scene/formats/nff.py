@@ -32,8 +32,8 @@ from raygrid.host.scene.polygons import Ints
 from raygrid.host.scene.scene import Scene
 from raygrid.host.text.standard_streams import shown_name
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry.surfaces import F64, Kind
-from raygrid.node.protocol.frame import MATERIAL
+from raygrid.node.geometry import F64, Kind
+from raygrid.node.protocol import MATERIAL
 
 Mask = NDArray[np.bool_]
 

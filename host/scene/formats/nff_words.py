@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from raygrid.host.scene.polygons import Ints
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry.surfaces import F64
+from raygrid.node.geometry import F64
 
 COMMENT = re.compile(rb"#[^\r\n]*")
 WORD = re.compile(rb"[^ \t\n\r\x0b\x0c]+")  # what bytes.split() takes for a word

@@ -26,7 +26,7 @@ from raygrid.host.scene.formats.mtl import GREY, WHITE, Mtl, as_text, find_named
 from raygrid.host.scene.polygons import Ints
 from raygrid.host.scene.textures import Bytes, as_bytes, bake
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry.surfaces import F64, Kind
+from raygrid.node.geometry import F64, Kind
 
 NO_CORNER = (-(2**40), 0, 0)  # further from the end than any file is long
 COMMENT = re.compile(rb"#[^\n]*")

@@ -22,7 +22,7 @@ from raygrid.host.scene.formats.mtl import GREY, WHITE
 from raygrid.host.scene.polygons import Ints
 from raygrid.host.scene.textures import Bytes, as_bytes, bake
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry.surfaces import F64, Kind
+from raygrid.node.geometry import F64, Kind
 
 LISTS = ("vertex_indices", "vertex_index")
 RGB, NORMAL = ("red", "green", "blue"), ("nx", "ny", "nz")

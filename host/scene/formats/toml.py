@@ -31,9 +31,8 @@ from raygrid.host.scene.load import load_scene
 from raygrid.host.scene.scene import Scene
 from raygrid.host.scene.transform import moved, placement
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry.rigid_motion import Groups, make_groups
-from raygrid.node.geometry.surfaces import F64, NUMBERS, AddedKind, Kind
-from raygrid.node.protocol.frame_tables import RULE_COLUMNS
+from raygrid.node.geometry import F64, NUMBERS, AddedKind, Groups, Kind, make_groups
+from raygrid.node.protocol import RULE_COLUMNS
 
 SOFT_EDGE = 0.8  # a spot's full light reaches this part of the way to its rim unless the file says otherwise
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
