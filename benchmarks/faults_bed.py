@@ -17,12 +17,12 @@ import numpy as np
 
 from raygrid.emulator.driver import driver
 from raygrid.emulator.processes.array import WARM_SECONDS, Array
-from raygrid.emulator.processes.fork_server_client import Nursery
+from raygrid.emulator.processes.fork_server_client import ForkServerClient
 from raygrid.host.image.picture import Picture
-from raygrid.host.render.animation_jobs import ShotJobs
+from raygrid.host.render.animation_jobs import AnimationJobs
 from raygrid.host.render.job import Job, Settings, make_job
 from raygrid.host.render.program_file import read_program
-from raygrid.host.render.retry import Fault, render_steadily
+from raygrid.host.render.retry import FaultReport, render_with_retries
 from raygrid.host.scene.load import load_scene
 from raygrid.node.errors import RaygridError
 
@@ -140,7 +140,7 @@ class Bed:
         noticed: list[float] = []
         ready: list[float] = []
 
-        def on_fault(fault: Fault) -> None:
+        def on_fault(fault: FaultReport) -> None:
             self.faults.append(fault.what)
             if strike.at and not noticed:
                 told = time.perf_counter() - fault.seconds[1]
@@ -224,7 +224,7 @@ def struck_reset(array: Array, strike: Strike) -> Any:
 
 def render(array: Array, frame: Frame = SMALL, **options: Any) -> Picture:
     """A frame of the campaign."""
-    return render_steadily(array, job(array.shape, frame), frame.budget, attempts=ATTEMPTS, **options)
+    return render_with_retries(array, job(array.shape, frame), frame.budget, attempts=ATTEMPTS, **options)
 
 
 def judge(work: Callable[[], Picture], bed: Bed, frame: Frame = SMALL) -> Outcome:
@@ -247,9 +247,9 @@ def job(shape: Shape, frame: Frame = SMALL) -> Job:
 
 
 @cache
-def shot(shape: Shape, scene: Path, settings: Settings) -> ShotJobs:
+def shot(shape: Shape, scene: Path, settings: Settings) -> AnimationJobs:
     """The frames of a shot, which share their surfaces: so they can follow each other by increments."""
-    return ShotJobs(load_scene(scene), shape, settings, 1)
+    return AnimationJobs(load_scene(scene), shape, settings, 1)
 
 
 @cache
@@ -268,7 +268,7 @@ def right(picture: Picture, shape: Shape, frame: Frame = SMALL) -> bool:
 
 def warm() -> None:
     """Compile what is not in the cache yet, so that no case has to wait for it."""
-    with Nursery.start() as nursery:
+    with ForkServerClient.start() as nursery:
         nursery.wait_warm(WARM_SECONDS)
     with Array.launch((1, 1, 1), programs=True, patience=WARM_SECONDS) as array:
         render(array, programmed())

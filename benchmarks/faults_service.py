@@ -22,7 +22,7 @@ from faults_bed import BUDGET, SCENES, SETTINGS, Case, Frame, Outcome, render, t
 import raygrid
 from raygrid.emulator.processes.array import Array
 from raygrid.host.client.client import Service, wait_gone
-from raygrid.host.client.service_files import Record, find, state_directory
+from raygrid.host.client.service_files import ServiceRecord, find, state_directory
 from raygrid.host.render.job import Settings
 from raygrid.node.errors import RaygridError
 
@@ -134,7 +134,7 @@ class ServiceBed:
         folder.mkdir()
 
     @property
-    def record(self) -> Record:
+    def record(self) -> ServiceRecord:
         """Where it is."""
         return find(NAME)
 

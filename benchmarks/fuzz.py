@@ -37,14 +37,14 @@ from faults_links import _babble, intruder
 
 from raygrid.emulator.driver.driver import Progress
 from raygrid.emulator.processes.array import Array
-from raygrid.host.render.retry import RECOVERABLE, render_steadily
+from raygrid.host.render.retry import RECOVERABLE, render_with_retries
 from raygrid.node.errors import Garbled, ProtocolError
 from raygrid.node.geometry.grid_walk import HOST
-from raygrid.node.links.link import Link, State
-from raygrid.node.links.zmq_channel import Pair
+from raygrid.node.links.link import Link, LinkPhase
+from raygrid.node.links.zmq_channel import ZmqChannel
 from raygrid.node.main import open_links
 from raygrid.node.protocol.frame_tables import frame_limits
-from raygrid.node.protocol.messages import CHECKSUM, SUMMED, MessageKind, pack_message
+from raygrid.node.protocol.messages import CHECKSUM_FIELD, SUMMED, MessageKind, pack_message
 from raygrid.node.protocol.packets import SIZE, first_fault
 from raygrid.node.runtime.processor import Processor
 
@@ -61,7 +61,7 @@ class HostileArray(Array):
         super().__init__(SHAPE, patience=WAIT)
         self.hostile = True
         self.node: Processor | None = None
-        self._own: dict[int, Pair] = {}
+        self._own: dict[int, ZmqChannel] = {}
 
     def _begin_epoch(self) -> None:
         assert self._crew is not None
@@ -83,7 +83,7 @@ class HostileArray(Array):
     def _open(self, config: dict[str, Any]) -> None:
         assert self._context is not None
         for link in config["links"]:
-            self._own[link["port"]] = Pair(self._context, link["endpoint"], link["bind"])
+            self._own[link["port"]] = ZmqChannel(self._context, link["endpoint"], link["bind"])
         self.node = Processor(PLACE, SHAPE, open_links(config, self._own), self.batch)
 
     def hang_up_own(self) -> None:
@@ -139,7 +139,7 @@ class Fuzz:
         links = self.array.neighbours()
         while count > 0:
             for link in links:
-                if link.waiting < 64 and link.state is State.UP:
+                if link.waiting < 64 and link.state is LinkPhase.UP:
                     for payload in self.bad_packets(32):
                         many = self.random.choice((1, 1, 1, 2, 3))
                         how = self.random.random()
@@ -236,7 +236,11 @@ class Fuzz:
         elif how == "kind":
             good = bytes([choose((0, 10, 255))]) + good[1:]
         elif how == "checksum":
-            good = good[:SUMMED] + CHECKSUM.pack(self.random.randrange(1 << 32)) + good[SUMMED + CHECKSUM.size :]
+            good = (
+                good[:SUMMED]
+                + CHECKSUM_FIELD.pack(self.random.randrange(1 << 32))
+                + good[SUMMED + CHECKSUM_FIELD.size :]
+            )
         elif how == "sequence":
             good = pack_message(
                 int(choose(orders)), link.epoch, link.sent + choose((1, 77, 2**31)) & 0xFFFFFFFF, 0, 0, b""
@@ -327,7 +331,7 @@ def main() -> int:
         same_nodes = array.pids == pids
         array.hostile = False
         array.reset()
-        picture = render_steadily(array, job(SHAPE))
+        picture = render_with_retries(array, job(SHAPE))
         same_bits = right(picture, SHAPE)
     for what, count in sorted(fuzz.sent.items()):
         print(f"{what:24}{count:10}")

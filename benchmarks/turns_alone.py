@@ -27,7 +27,7 @@ from raygrid.host.render.job import Job, Settings, make_job
 from raygrid.host.scene.load import load_scene
 from raygrid.node.geometry.grid_walk import PORTS
 from raygrid.node.protocol.counters import SENT, WALKS
-from raygrid.node.runtime.event_loop import AFTER
+from raygrid.node.runtime.event_loop import TUNE_AFTER
 from raygrid.node.tracing import work_queues
 
 Shape = tuple[int, int, int]
@@ -98,7 +98,7 @@ class Loaded:
         self.array.driver.load(job.space, job.surfaces)
         for processor in self.array.processors:
             processor.tracer._go = self.turns.of(processor.tracer._go)
-            processor.tracer.pace[AFTER] = TURN
+            processor.tracer.pace[TUNE_AFTER] = TURN
         self.least, self.least_sorting = np.inf, np.inf
         self.calls = 0
 

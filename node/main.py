@@ -12,14 +12,14 @@ import zmq
 
 from raygrid.node.errors import ProtocolError
 from raygrid.node.geometry.grid_walk import HOST, OPPOSITE
-from raygrid.node.links.control_channel import Line
-from raygrid.node.links.faulty_channel import FaultPlan, Faulty, tend
-from raygrid.node.links.link import Channel, Link, State
-from raygrid.node.links.zmq_channel import Pair
+from raygrid.node.links.control_channel import ControlChannel
+from raygrid.node.links.faulty_channel import FaultPlan, FaultyChannel, tend
+from raygrid.node.links.link import Channel, Link, LinkPhase
+from raygrid.node.links.zmq_channel import ZmqChannel
 from raygrid.node.protocol.reset import read_reset
 from raygrid.node.runtime.memory_stats import keep_freed_memory
-from raygrid.node.runtime.native_link_table import Wired
-from raygrid.node.runtime.probe import Probe, read_rate
+from raygrid.node.runtime.native_link_table import NativeLinkTable
+from raygrid.node.runtime.probe import NodeProbe, read_rate
 from raygrid.node.runtime.processor import Processor
 
 PORT_NAMES = ("-x", "+x", "-y", "+y", "-z", "+z", "host")
@@ -43,8 +43,8 @@ def run(config: dict[str, Any], life: int, line: int) -> None:
     gc.set_threshold(50_000, 50, 50)  # a turn makes no cycles; the default would look for them every few turns
     keep_freed_memory()
     context: zmq.Context[Any] = zmq.Context(io_threads=1)
-    to_host = Line(line)
-    probe = Probe(to_host)
+    to_host = ControlChannel(line)
+    probe = NodeProbe(to_host)
     try:
         next_epoch: dict[str, Any] | None = config
         while next_epoch is not None:
@@ -55,13 +55,13 @@ def run(config: dict[str, Any], life: int, line: int) -> None:
 
 
 def _live(
-    config: dict[str, Any], context: zmq.Context[Any], life: int, line: Line, probe: Probe
+    config: dict[str, Any], context: zmq.Context[Any], life: int, line: ControlChannel, probe: NodeProbe
 ) -> dict[str, Any] | None:
     """One epoch. Returns the config of the next one, None if there is none."""
-    pairs: dict[int, Pair] = {}
+    pairs: dict[int, ZmqChannel] = {}
     try:
         for link in config["links"]:
-            pairs[link["port"]] = Pair(context, link["endpoint"], link["bind"])
+            pairs[link["port"]] = ZmqChannel(context, link["endpoint"], link["bind"])
         line.send({"is": "reset", "epoch": config["epoch"]})
         return _serve(config, pairs, _with_faults(config, pairs, line), life, line, probe)
     except ProtocolError as error:
@@ -80,7 +80,7 @@ def _live(
     return None
 
 
-def _orders(line: Line, config: dict[str, Any], probe: Probe) -> Iterator[dict[str, Any]]:
+def _orders(line: ControlChannel, config: dict[str, Any], probe: NodeProbe) -> Iterator[dict[str, Any]]:
     """The configs of the resets that have come on the line; rates of probes are set, what is no order is refused and counted."""
     while (order := line.receive()) is not None:
         try:
@@ -118,23 +118,23 @@ def processor_class(config: dict[str, Any]) -> type[Processor]:
     return TimedProcessor
 
 
-def _with_faults(config: dict[str, Any], pairs: dict[int, Pair], line: Line) -> dict[int, Channel]:
+def _with_faults(config: dict[str, Any], pairs: dict[int, ZmqChannel], line: ControlChannel) -> dict[int, Channel]:
     """The channels of a node: its pairs, those to neighbours with the faults that an experiment asks for."""
     channels: dict[int, Channel] = dict(pairs)
     if config.get("fault") is not None:
         for port in channels.keys() - {HOST}:
             key = (*config["index"], port, config["epoch"])
-            channels[port] = Faulty(channels[port], FaultPlan(*config["fault"]), key, line.send)
+            channels[port] = FaultyChannel(channels[port], FaultPlan(*config["fault"]), key, line.send)
     return channels
 
 
 def _serve(
     config: dict[str, Any],
-    pairs: dict[int, Pair],
+    pairs: dict[int, ZmqChannel],
     channels: dict[int, Channel],
     life: int,
-    line: Line,
-    probe: Probe,
+    line: ControlChannel,
+    probe: NodeProbe,
 ) -> dict[str, Any] | None:
     index, shape = tuple(config["index"]), tuple(config["shape"])
     kind = processor_class(config)
@@ -144,11 +144,11 @@ def _serve(
         from raygrid.node.runtime.profile import Profile
 
         Profile(processor)
-    faults = [channel for channel in channels.values() if isinstance(channel, Faulty)]
+    faults = [channel for channel in channels.values() if isinstance(channel, FaultyChannel)]
     if kind is not Processor:  # what keeps machine time takes other messages than those that compiled code knows
         return _loop(config, processor, pairs, faults, life, line, probe)
     with closing(
-        Wired(processor.links, pairs, processor.tallies.tally, (life, line.fileno()), timed=profiled)
+        NativeLinkTable(processor.links, pairs, processor.tallies.tally, (life, line.fileno()), timed=profiled)
     ) as wired:
         processor.wire(wired)
         return _loop(config, processor, pairs, faults, life, line, probe)
@@ -157,11 +157,11 @@ def _serve(
 def _loop(
     config: dict[str, Any],
     processor: Processor,
-    pairs: dict[int, Pair],
-    faults: list[Faulty],
+    pairs: dict[int, ZmqChannel],
+    faults: list[FaultyChannel],
     life: int,
-    line: Line,
-    probe: Probe,
+    line: ControlChannel,
+    probe: NodeProbe,
 ) -> dict[str, Any] | None:
     ports = {pair.socket: port for port, pair in pairs.items()}
     poller = zmq.Poller()
@@ -188,7 +188,7 @@ def _loop(
     return None
 
 
-def _patience(processor: Processor, probe: Probe) -> int | None:
+def _patience(processor: Processor, probe: NodeProbe) -> int | None:
     """Milliseconds to wait for a message; None: until one comes."""
     if processor.busy:
         return 0
@@ -202,7 +202,7 @@ def _patience(processor: Processor, probe: Probe) -> int | None:
 def _close(processor: Processor, poller: zmq.Poller, ports: dict[Any, int], life: int) -> None:
     """Wait until every neighbour has answered BYE, but not for ever."""
     deadline = time.monotonic() + CLOSING_SECONDS
-    while any(link.state != State.CLOSED for link in processor.links.values()):
+    while any(link.state != LinkPhase.CLOSED for link in processor.links.values()):
         left = deadline - time.monotonic()
         if left <= 0.0:
             return

@@ -4,4 +4,4 @@ from .deadlock_model import Waiting as Waiting
 from .deadlock_model import surely_free as surely_free
 from .provenance import Provenance as Provenance
 from .provenance import Ray as Ray
-from .provenance import Sample as Sample
+from .provenance import SampleTree as SampleTree

@@ -31,7 +31,7 @@ from raygrid.emulator.topology.topology import Index, indices
 from raygrid.node.errors import ArrayError, SceneError
 from raygrid.node.geometry import OPPOSITE, PORTS, SELF, Space, SurfaceSet
 from raygrid.node.protocol import BORN, DIED, PRIMARY, RETURN, Frame, PacketKind
-from raygrid.node.runtime import Tracer
+from raygrid.node.runtime import NodeState
 
 SOURCES = PORTS + 2  # from which a node takes packets in turn: its ports, what it has born to itself, its primaries
 MOST_ROOM = 1 << 20
@@ -117,7 +117,7 @@ class NaiveMachine:
         self._blocked = self._fullest = self._most_trees = 0
 
     @property
-    def tracers(self) -> list[Tracer]:
+    def tracers(self) -> list[NodeState]:
         """The nodes' tables and pixel stores, x fastest."""
         return list(self._steps.nodes.values())
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from raygrid.emulator.analysis.requery import begin, carries_home, look, sees_outside
+from raygrid.emulator.analysis.requery import begin, carries_home, find_hit, sees_outside
 from raygrid.emulator.analysis.single_step import Served, SingleStep, Units
 from raygrid.emulator.topology.topology import Index
 from raygrid.node.errors import ArrayError, SceneError
@@ -93,7 +93,7 @@ class Ray:
 
 
 @dataclass(frozen=True)
-class Sample:
+class SampleTree:
     """A sample and its tree; `ray` is None if the eye's ray misses the world box and sees what is behind it.
 
     number  of the sample in its pixel
@@ -106,7 +106,7 @@ class Sample:
 
 
 @dataclass
-class _Flying:
+class _InTransit:
     """A packet on its way, and the record of its ray."""
 
     packet: bytes
@@ -126,7 +126,7 @@ class Provenance:
         self.space, self.frame, self._most_rays = space, frame, most_rays
         self._stack, self._scratch = np.zeros(DEPTH, np.int64), np.zeros(COUNTS, np.int64)
 
-    def pixel(self, x: int, y: int, only: int | None = None) -> list[Sample]:
+    def pixel(self, x: int, y: int, only: int | None = None) -> list[SampleTree]:
         """The samples of a pixel, row 0 on top; `only`: that one. Raises SceneError for a pixel or sample that is not."""
         frame = self.frame
         if not (0 <= x < frame.width and 0 <= y < frame.height):
@@ -136,20 +136,20 @@ class Provenance:
         numbers = range(frame.samples) if only is None else [only]
         return [self.sample(y * frame.width + x, number) for number in numbers]
 
-    def sample(self, pixel: int, number: int) -> Sample:
+    def sample(self, pixel: int, number: int) -> SampleTree:
         """One sample of a pixel (row times width plus column). Raises ArrayError if the step contradicts itself."""
         sample = pixel * self.frame.samples + number
         enters, home, direction = begin(self.space, self.frame, sample)
         if not enters:
             red, green, blue = sees_outside(self.frame, direction)
-            return Sample(number, (int(red), int(green), int(blue)), None)
+            return SampleTree(number, (int(red), int(green), int(blue)), None)
         index = (int(home[0]), int(home[1]), int(home[2]))
         before = self._steps.stored(index, pixel)
         packet = self._steps.bear(index, sample)
         if packet is None:
             raise ArrayError(f"sample {number} of pixel {pixel} has its home at {index}, which does not bear it")
         root = self._record(packet, index)
-        waiting, rays = [_Flying(packet, index, SELF, root)], 1
+        waiting, rays = [_InTransit(packet, index, SELF, root)], 1
         while waiting:
             flying = waiting.pop()
             children = self._follow(flying)
@@ -163,9 +163,9 @@ class Provenance:
             waiting += children
         after = self._steps.stored(index, pixel)
         self._check_conserved()
-        return Sample(number, (after[0] - before[0], after[1] - before[1], after[2] - before[2]), root)
+        return SampleTree(number, (after[0] - before[0], after[1] - before[1], after[2] - before[2]), root)
 
-    def _follow(self, flying: _Flying) -> list[_Flying]:
+    def _follow(self, flying: _InTransit) -> list[_InTransit]:
         """Hand one packet from node to node until it dies; what it gave birth to."""
         ray, walked = flying.ray, False
         while True:
@@ -179,7 +179,7 @@ class Provenance:
             ((output, flying.packet),) = served.out
             flying.index, flying.port = _over(flying.index, output)
 
-    def _ended(self, flying: _Flying, served: Served) -> list[_Flying]:
+    def _ended(self, flying: _InTransit, served: Served) -> list[_InTransit]:
         """Write down how a ray ended."""
         ray, index = flying.ray, flying.index
         item, surface, material, t, point, direction, inside, _ = self._look(flying)
@@ -203,7 +203,7 @@ class Provenance:
             turned[-1].ray.inside = turned[-1].ray.weight == ray.weight
         return children
 
-    def _returned(self, flying: _Flying, served: Served) -> CameBack:
+    def _returned(self, flying: _InTransit, served: Served) -> CameBack:
         """Hand a return packet to its home. Raises ArrayError if that adds something else than it carries."""
         index, pixel = flying.index, decode(flying.packet).number // self.frame.samples
         cells = [index]
@@ -228,9 +228,9 @@ class Provenance:
             raise ArrayError(f"home {index} added {units} for a return of {intensity}")
         return CameBack(intensity, units, cells)
 
-    def _child(self, index: Index, output: int, packet: bytes) -> _Flying:
+    def _child(self, index: Index, output: int, packet: bytes) -> _InTransit:
         ray = self._record(packet, index)
-        return _Flying(packet, *_over(index, output), ray)
+        return _InTransit(packet, *_over(index, output), ray)
 
     def _record(self, packet: bytes, index: Index) -> Ray:
         read = decode(packet)
@@ -241,10 +241,10 @@ class Provenance:
         ray.cells.append(index)
         return ray
 
-    def _look(self, flying: _Flying) -> tuple[Any, ...]:
+    def _look(self, flying: _InTransit) -> tuple[Any, ...]:
         node = self._steps.nodes[flying.index]
         packet = np.frombuffer(bytearray(flying.packet), np.uint8)
-        found: tuple[Any, ...] = look(
+        found: tuple[Any, ...] = find_hit(
             node.cell, self.space, node.frame, node.surfaces, packet, self._stack, self._scratch
         )
         return found

@@ -54,7 +54,7 @@ def carries_home(frame, packet):
 
 
 @lean
-def look(cell, space, frame, surfaces, packet, stack, counts):
+def find_hit(cell, space, frame, surfaces, packet, stack, counts):
     """What a ray or shadow ray that walks through a cell meets first in it.
 
     (item or -1, surface id, material, t, point, direction, whether all of it is reflected inside, exit port of the cell).

@@ -19,8 +19,8 @@ from raygrid.emulator.topology.topology import Index
 from raygrid.node.errors import TooLarge
 from raygrid.node.geometry import DEPTH, Space, SurfaceSet
 from raygrid.node.protocol import COUNTS, HEAD, SIZE, Frame, frame_order
-from raygrid.node.runtime import Tracer
-from raygrid.node.tracing import DONE, bear_primaries, bear_primary, make_outputs
+from raygrid.node.runtime import NodeState
+from raygrid.node.tracing import DONE, make_outputs, spawn_primaries, spawn_primary
 from raygrid.node.tracing.step import step
 
 NODE_BYTES = 800_000  # of a node in memory, without surfaces (measured)
@@ -59,7 +59,7 @@ class SingleStep:
         array.driver.load(space, surfaces)
         array.driver.wave(frame_order(frame))
         self.space, self.frame = space, frame
-        self.nodes: dict[Index, Tracer] = {processor.index: processor.tracer for processor in array.processors}
+        self.nodes: dict[Index, NodeState] = {processor.index: processor.tracer for processor in array.processors}
         self._outputs = make_outputs(2 * (frame.n_lights + 2), DEPTH)
         self._ports = np.zeros(1, np.uint8)
 
@@ -85,7 +85,7 @@ class SingleStep:
         pixel, number = divmod(sample, frame.samples)
         j, i = divmod(pixel, frame.width)
         packet = np.zeros(SIZE, np.uint8)
-        made = bear_primary(
+        made = spawn_primary(
             node.cell, self.space, node.frame, node.pixels, i, j, number, packet, self._outputs.seen, node.counts
         )
         return packet.tobytes() if made else None
@@ -96,7 +96,7 @@ class SingleStep:
         if node.cursor[DONE]:
             return None
         packet = np.zeros(SIZE, np.uint8)
-        made = bear_primaries(
+        made = spawn_primaries(
             node.cell, self.space, node.frame, node.pixels, node.cursor, packet, 0, 1, self._outputs.seen, node.counts
         )
         return packet.tobytes() if made else None

@@ -6,4 +6,4 @@ from .driver import Driver as Driver
 from .driver import Progress as Progress
 from .increments import is_held as is_held
 from .samples import PHASES as PHASES
-from .samples import Sample as Sample
+from .samples import NodeSample as NodeSample

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.emulator.driver.collector import Collected, Samples
-from raygrid.emulator.driver.increments import Held, check_moves, increment
+from raygrid.emulator.driver.increments import HeldSurfaces, check_moves, increment
 from raygrid.node.errors import ArrayError, Garbled, ProtocolError, SceneError, Stuck
 from raygrid.node.geometry import Batch, Moves, Space, SurfaceSet, corners, groups_order, placed
-from raygrid.node.links import Link, State
+from raygrid.node.links import Link, LinkPhase
 from raygrid.node.programs import Program, program_order
 from raygrid.node.protocol import (
     BORN,
@@ -38,17 +38,17 @@ from raygrid.node.protocol import (
 from raygrid.node.runtime import (
     ALLOWED,
     COLLECTING,
-    DATA_DONE,
-    DATA_SENT,
     HANDED_ON,
     HOMES_LEFT,
-    RECEIVED,
     REFUSED,
-    WAITING,
-    pack_tally,
+    SUM_DATA_DONE,
+    SUM_DATA_SENT,
+    SUM_RECEIVED,
+    SUM_WAITING,
+    pack_request,
     pieces,
+    read_reply,
     read_sums,
-    read_tallied,
 )
 
 CHUNK_BYTES = 1 << 16  # surfaces in a message
@@ -104,7 +104,7 @@ class Driver:
         self._wave_number = 0
         self._answer: dict[str, Any] | None = None
         self._collected: Collected | None = None  # what comes of the pass that is being collected
-        self.held: Held | None = (
+        self.held: HeldSurfaces | None = (
             None  # the frame of a shot that the nodes hold; None: it is not known, or does not move
         )
         self.program: Program | None = None  # what the nodes run
@@ -124,7 +124,7 @@ class Driver:
             elif arrival.kind == MessageKind.UP and corner == 0:
                 self._answer = read_order(arrival.message)
             elif arrival.kind == MessageKind.TALLIED and corner == 0:
-                number, sums = read_tallied(arrival.message)
+                number, sums = read_reply(arrival.message)
                 self._answer = {"wave": number, "sums": sums.tobytes()}
             else:
                 raise ProtocolError(f"link {link.name}: {arrival.kind.name} came, which a node never sends to the host")
@@ -143,7 +143,7 @@ class Driver:
         self._wave_number += 1
         self.waves += 1
         self._answer, self._answered = None, False
-        tally = pack_tally(self._wave_number, order) if order["do"] == "trace" else None
+        tally = pack_request(self._wave_number, order) if order["do"] == "trace" else None
         if tally is None:
             self.links[0].send_order(MessageKind.DOWN, {**order, "wave": self._wave_number})
         else:
@@ -204,8 +204,8 @@ class Driver:
             since = time.monotonic()
             while True:
                 sums = self.wave({"do": "halt"})["sums"]
-                sent = sums[DATA_SENT] + sum(link.data_sent for link in self.links.values())
-                done = sums[DATA_DONE] + sum(link.data_done for link in self.links.values())
+                sent = sums[SUM_DATA_SENT] + sum(link.data_sent for link in self.links.values())
+                done = sums[SUM_DATA_DONE] + sum(link.data_done for link in self.links.values())
                 if sent == done:
                     break
                 if time.monotonic() - since > self.patience:
@@ -265,7 +265,7 @@ class Driver:
         self._wait_arrived(dealt, -1)
         self.wave({"do": "build"})
         self._quiet = True
-        self.held = None if moves is None else Held(space, surfaces, moves, dealt)
+        self.held = None if moves is None else HeldSurfaces(space, surfaces, moves, dealt)
 
     def move(self, moves: Moves) -> bool:
         """Bring the surfaces of the last load to where `moves` has them, by telling nodes only what has changed.
@@ -285,7 +285,7 @@ class Driver:
             self._settle()
             self._quiet = False
             self.wave(order)
-            self._wait_arrived(held.dealt, self.wave({"do": "hand"})["sums"][RECEIVED])
+            self._wait_arrived(held.dealt, self.wave({"do": "hand"})["sums"][SUM_RECEIVED])
             self.wave({"do": "build"})
             self._quiet = True
         self.held = held._replace(moves=moves)
@@ -301,7 +301,7 @@ class Driver:
             sums = self.wave({"do": "loaded"})["sums"]
             if received == dealt + sums[HANDED_ON]:
                 return
-            received = sums[RECEIVED]
+            received = sums[SUM_RECEIVED]
 
     # --- tracing -------------------------------------------------------------------------------------
 
@@ -377,7 +377,7 @@ class Driver:
         while True:
             sums = self.wave({**order, "hold": HOLD + 0.001 * self.nodes})["sums"]
             born, died = sums[BORN + PIXEL], sums[DIED + PIXEL]
-            if sums[COLLECTING] == 0 and sums[WAITING] == 0 and born == died:
+            if sums[COLLECTING] == 0 and sums[SUM_WAITING] == 0 and born == died:
                 break
             if time.monotonic() - since > self.patience + pixels / 1e4:
                 raise Stuck(f"{born} pixel packets were born and {died} reached a corner")
@@ -400,7 +400,9 @@ class Driver:
         self.wave({"do": "end"})
         for link in self.links.values():
             link.close()
-        self._wait(lambda: all(link.state == State.CLOSED for link in self.links.values()), "the corners say goodbye")
+        self._wait(
+            lambda: all(link.state == LinkPhase.CLOSED for link in self.links.values()), "the corners say goodbye"
+        )
 
 
 def _progress(sums: list[int]) -> Progress:

@@ -16,7 +16,7 @@ from raygrid.node.geometry import Batch, Moves, Space, SurfaceSet, fault_of, mov
 from raygrid.node.runtime import check_inside
 
 
-class Held(NamedTuple):
+class HeldSurfaces(NamedTuple):
     """The frame of a shot that the nodes of an array hold together.
 
     surfaces  as they were dealt, those that move at rest
@@ -29,7 +29,7 @@ class Held(NamedTuple):
     dealt: int
 
 
-def is_held(held: Held | None, space: Space, surfaces: SurfaceSet, moves: Moves | None) -> bool:
+def is_held(held: HeldSurfaces | None, space: Space, surfaces: SurfaceSet, moves: Moves | None) -> bool:
     """Whether an array that holds `held` needs increments only."""
     if held is None or moves is None or held.surfaces is not surfaces or held.moves.groups is not moves.groups:
         return False
@@ -56,7 +56,7 @@ def _check_inside(space: Space, batch: Batch) -> None:
         raise SceneError(str(error)) from None
 
 
-def increment(held: Held, moves: Moves) -> dict[str, Any] | None:
+def increment(held: HeldSurfaces, moves: Moves) -> dict[str, Any] | None:
     """The order that brings the nodes from what they hold to `moves`; None if nothing moves. Raises SceneError."""
     if moves.motions.shape != held.moves.motions.shape:
         raise SceneError(f"{len(moves.motions)} motions came, wanted {len(held.moves.motions)}, one for each group")

@@ -10,7 +10,7 @@ import numpy as np
 from raygrid.emulator.driver.driver import Driver
 from raygrid.emulator.topology.topology import host_links, indices, neighbour_links
 from raygrid.node.geometry import HOST, corners
-from raygrid.node.links import Link, MemoryPair, memory_pair
+from raygrid.node.links import Link, MemoryChannel, memory_channels
 from raygrid.node.main import open_links, processor_class
 from raygrid.node.runtime import Processor
 
@@ -30,10 +30,10 @@ class MemoryArray:
     ) -> None:
         channels: dict[tuple[int, int, int], dict[int, Any]] = {index: {} for index in indices(shape)}
         for link in neighbour_links(shape):
-            channels[link.lower][link.lower_port], channels[link.upper][link.upper_port] = memory_pair()
-        host_ends: dict[int, MemoryPair] = {}
+            channels[link.lower][link.lower_port], channels[link.upper][link.upper_port] = memory_channels()
+        host_ends: dict[int, MemoryChannel] = {}
         for corner, index in corners(shape).items():
-            channels[index][HOST], host_ends[corner] = memory_pair()
+            channels[index][HOST], host_ends[corner] = memory_channels()
         self._order = order
         self.processors: list[Processor] = []
         for index in indices(shape):

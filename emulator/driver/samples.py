@@ -33,7 +33,7 @@ class LinkSample:
 
 
 @dataclass(frozen=True)
-class Sample:
+class NodeSample:
     """How a node stood at one moment. What it counts begins anew with each frame, but for `links` and `cpu`.
 
     node      its coordinates
@@ -81,14 +81,14 @@ class Sample:
         return sum(self.born.values()) + sum(self.died.values()) + sum(self.sent.values())
 
 
-def read_sample(node: Index, words: dict[str, Any]) -> Sample:
+def read_sample(node: Index, words: dict[str, Any]) -> NodeSample:
     """A sample of what a node said on its line. Raises ProtocolError unless it is one."""
     try:
         counts = _counts(words["counts"])
         phase = words["phase"]
         if phase not in PHASES:
             raise ValueError(f"phase {phase!r}")
-        return Sample(
+        return NodeSample(
             node=node,
             epoch=_whole(words["epoch"]),
             number=_whole(words["number"]),

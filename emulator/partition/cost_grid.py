@@ -28,13 +28,13 @@ import numpy as np
 from numba.core import event
 from numpy.typing import NDArray
 
-from raygrid.emulator.partition.sampling_prepass import IS_PRIMARY, RETURNS, SHADED, T_END, Pilot
+from raygrid.emulator.partition.sampling_prepass import IS_PRIMARY, RETURNS, SHADED, T_END, SamplingPrepass
 from raygrid.node.geometry import (
     DEPTH,
     LATTICE,
     LEAF_BIT,
+    NODE_WORDS,
     T_MIN,
-    WORDS,
     Space,
     cell_index,
     coordinate,
@@ -69,7 +69,7 @@ class Weights(NamedTuple):
     held: float = 2.0
 
 
-class Work(NamedTuple):
+class CostGrid(NamedTuple):
     """Running sums over a grid of planes, nx x ny x nz voxels.
 
     done     float64 (nx + 1, ny + 1, nz + 1): work in all voxels before
@@ -81,19 +81,19 @@ class Work(NamedTuple):
     crossed: F64
 
 
-def tally(pilot: Pilot, grid: Space, weights: Weights | None = None) -> Work:
+def count_work(pilot: SamplingPrepass, grid: Space, weights: Weights | None = None) -> CostGrid:
     """Running sums of the pilot's work over a grid of planes."""
     weights = weights or Weights()
     nx, ny, nz = grid.shape
-    work = Work(np.zeros((nx + 1, ny + 1, nz + 1)), np.zeros((3, 2, nx + 1, ny + 1, nz + 1)))
+    work = CostGrid(np.zeros((nx + 1, ny + 1, nz + 1)), np.zeros((3, 2, nx + 1, ny + 1, nz + 1)))
     places = _places(pilot, grid) if weights.held > 0.0 else np.zeros((3, 0), np.int64)
     held = float(weights.held * pilot.each / pilot.share)
     costs = Weights(*map(float, weights))
-    _tally(pilot.rays, pilot.surfaces, np.zeros(DEPTH, np.int64), grid, costs, work, places, held)
+    _count_work(pilot.rays, pilot.surfaces, np.zeros(DEPTH, np.int64), grid, costs, work, places, held)
     return work
 
 
-def _places(pilot: Pilot, grid: Space) -> NDArray[np.int64]:
+def _places(pilot: SamplingPrepass, grid: Space) -> NDArray[np.int64]:
     """The voxels that hold the middles of surfaces, counted from 1, int64 (3, n)."""
     places = np.empty((3, len(pilot.boxes)), np.int64)
     for axis in range(3):
@@ -110,7 +110,7 @@ def _next_plane(grid, axis, voxel, o, inv):
 
 
 @lean
-def _tally(rays, surfaces, stack, grid, weights, work, places, held):
+def _count_work(rays, surfaces, stack, grid, weights, work, places, held):
     """Walk every ray through the grid, add what each surface costs that is held at a place, and sum up.
 
     Voxel (i, j, k) is counted at (i + 1, j + 1, k + 1), for running sums.
@@ -213,14 +213,14 @@ def _open_boxes(surfaces, stack, grid, o, d, inv, end, weights, work):
         t = np.float64(np.uint32(key >> 32).view(np.float32))
         if child >= LEAF_BIT:
             continue
-        top += push_boxes(surfaces.floats, child * WORDS, near, ray, np.float32(T_MIN), high, stack, top)
+        top += push_boxes(surfaces.floats, child * NODE_WORDS, near, ray, np.float32(T_MIN), high, stack, top)
         x = cell_index(grid.planes, 0, grid.shape[0], nearest(o[0] + t * d[0], grid.step[0]))
         y = cell_index(grid.planes, 1, grid.shape[1], nearest(o[1] + t * d[1], grid.step[1]))
         z = cell_index(grid.planes, 2, grid.shape[2], nearest(o[2] + t * d[2], grid.step[2]))
         work.done[x + 1, y + 1, z + 1] += weights.box
 
 
-def by_cell(work: Work) -> F64:
+def by_cell(work: CostGrid) -> F64:
     """The work of each voxel of the grid as a cell of an array, float64 (nx, ny, nz)."""
     cells = np.diff(np.diff(np.diff(work.done, axis=0), axis=1), axis=2)
     for axis in range(3):
@@ -233,7 +233,7 @@ def by_cell(work: Work) -> F64:
 # --- search ----------------------------------------------------------------------------------------------
 
 
-def improve(work: Work, shape: tuple[int, int, int], planes: NDArray[np.int64]) -> float:
+def improve(work: CostGrid, shape: tuple[int, int, int], planes: NDArray[np.int64]) -> float:
     """Move planes, indices into the grid's, int64 (3, largest axis + 1), one at a time to where the largest cell
     plus TOTAL_SHARE of the mean cell is least, until none moves. Returns that sum (by the highest norm)."""
     cost = np.inf
@@ -333,4 +333,4 @@ def from_cache_only() -> Iterator[None]:
 
 def is_cached() -> bool:
     """Whether kernels of a pilot were ever compiled in this state of the sources (a look at names of files only)."""
-    return is_on_disk(_tally)
+    return is_on_disk(_count_work)

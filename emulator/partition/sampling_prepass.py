@@ -39,7 +39,6 @@ from raygrid.node.jit import lean
 from raygrid.node.protocol import COUNTS, HEAD, PRIMARY, SHADOW, SIZE, Frame, read_u16, read_u24, read_u32, unit_vector
 from raygrid.node.tracing import (
     Outputs,
-    bear_primaries,
     build_surfaces,
     closest,
     edge_colour,
@@ -51,6 +50,7 @@ from raygrid.node.tracing import (
     make_pixels,
     new_cursor,
     place,
+    spawn_primaries,
 )
 from raygrid.node.tracing.step import step
 
@@ -67,7 +67,7 @@ LARGEST = 2_000  # of them, how many are kept for their size
 T_END, IS_PRIMARY, SHADED, RETURNS, FACTS = 3, 4, 5, 6, 7
 
 
-class Rays(NamedTuple):
+class PrepassRays(NamedTuple):
     """Rays of a pilot, shadow rays among them.
 
     origins  int64 (n, 3), lattice; homes int64 (n, 3), where the primary ray of the sample begins
@@ -80,7 +80,7 @@ class Rays(NamedTuple):
     facts: F64
 
 
-class Pilot(NamedTuple):
+class SamplingPrepass(NamedTuple):
     """What was seen of a frame.
 
     surfaces  the hierarchy of the whole scene, or of a part that stands for it
@@ -89,7 +89,7 @@ class Pilot(NamedTuple):
     share     samples of the frame for each one of the pilot
     """
 
-    rays: Rays
+    rays: PrepassRays
     surfaces: Surfaces
     boxes: F64
     each: float
@@ -97,7 +97,9 @@ class Pilot(NamedTuple):
     share: float
 
 
-def fly(steps: tuple[float, float, float], surfaces: SurfaceSet, frame: Frame, across: int = ACROSS) -> Pilot:
+def run_prepass(
+    steps: tuple[float, float, float], surfaces: SurfaceSet, frame: Frame, across: int = ACROSS
+) -> SamplingPrepass:
     """Trace a coarse grid of the frame's rays through surfaces in machine coordinates."""
     space = make_space(steps, [[0, LATTICE]] * 3)
     cell = make_cell(space, (0, 0, 0))
@@ -106,7 +108,7 @@ def fly(steps: tuple[float, float, float], surfaces: SurfaceSet, frame: Frame, a
     boxes = np.concatenate([batch.bounds() for batch in chosen])
     built = build_surfaces(chosen, cell)
     share = frame.width * frame.height * frame.samples / (coarse.width * coarse.height)
-    return Pilot(_trace(space, cell, coarse, built), built, boxes, len(surfaces) / len(boxes), steps, share)
+    return SamplingPrepass(_trace(space, cell, coarse, built), built, boxes, len(surfaces) / len(boxes), steps, share)
 
 
 def coarse_frame(frame: Frame, across: int) -> Frame:
@@ -179,18 +181,18 @@ def _enlarged(batch: Batch, factor: float) -> Batch:
 # --- the rays --------------------------------------------------------------------------------------------
 
 
-def _trace(space: Space, cell: Cell, frame: Frame, surfaces: Surfaces) -> Rays:
+def _trace(space: Space, cell: Cell, frame: Frame, surfaces: Surfaces) -> PrepassRays:
     """Every ray of the frame, generation by generation, until none is left or MOST_RAYS are done."""
     pixels = make_pixels(frame, space, cell)
     outputs = make_outputs(max(ROOM, 2 * (frame.n_lights + 2)), DEPTH)
     counts, ports = np.zeros(COUNTS, np.int64), np.full(CHUNK, SELF, np.uint8)
     room = frame.width * frame.height
     first = np.zeros(room * SIZE, np.uint8)
-    born = bear_primaries(
+    born = spawn_primaries(
         cell, space, frame, pixels, new_cursor(len(pixels.first) > 0), first, 0, room, outputs.seen, counts
     )
     waiting = _pieces(first[: born * SIZE])
-    found: list[Rays] = [_no_rays(0)]
+    found: list[PrepassRays] = [_no_rays(0)]
     total = 0
     while waiting and total < MOST_RAYS:
         packets = waiting.pop(0)
@@ -205,7 +207,7 @@ def _trace(space: Space, cell: Cell, frame: Frame, surfaces: Surfaces) -> Rays:
             found.append(rays)
             total += len(rays.facts)
         waiting += _pieces(others)
-    return Rays(*(np.concatenate(column) for column in zip(*found, strict=True)))
+    return PrepassRays(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
 def _taken(outputs: Outputs, output: int) -> Bytes:
@@ -219,8 +221,8 @@ def _pieces(packets: Bytes) -> list[Bytes]:
     return [packets[at : at + CHUNK * SIZE] for at in range(0, len(packets), CHUNK * SIZE)]
 
 
-def _no_rays(many: int) -> Rays:
-    return Rays(np.zeros((many, 3), np.int64), np.zeros((many, 3), np.int64), np.zeros((many, FACTS)))
+def _no_rays(many: int) -> PrepassRays:
+    return PrepassRays(np.zeros((many, 3), np.int64), np.zeros((many, 3), np.int64), np.zeros((many, FACTS)))
 
 
 @lean

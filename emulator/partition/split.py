@@ -54,7 +54,7 @@ def split(
     if kind == "uniform" or shape == (1, 1, 1):
         planes = [_uniform(cells) for cells in shape]
     elif frame is not None and _rays(frame) >= WORTHWHILE and not surfaces.count(AddedKind.PROGRAMMED):
-        planes = _when_compiled(lambda: _by_pilot(shape, world, surfaces, frame), wait)
+        planes = _when_compiled(lambda: _by_prepass(shape, world, surfaces, frame), wait)
     if planes is None:
         boxes = np.concatenate([batch.bounds() for batch in surfaces])
         planes = [_quantiles(cells, of) for cells, of in zip(shape, _of_surfaces(boxes, world), strict=True)]
@@ -134,12 +134,12 @@ def _apart(planes: Line) -> Line:
 # --- by a pilot of rays ----------------------------------------------------------------------------------
 
 
-def _by_pilot(shape: Index, world: World, surfaces: SurfaceSet, frame: Frame) -> list[Line] | None:
+def _by_prepass(shape: Index, world: World, surfaces: SurfaceSet, frame: Frame) -> list[Line] | None:
     """The planes of the least cost that is found from three starts; None if no ray enters the world box."""
-    from raygrid.emulator.partition.cost_grid import improve, tally
-    from raygrid.emulator.partition.sampling_prepass import fly
+    from raygrid.emulator.partition.cost_grid import count_work, improve
+    from raygrid.emulator.partition.sampling_prepass import run_prepass
 
-    pilot = fly(world.step, surfaces, frame)
+    pilot = run_prepass(world.step, surfaces, frame)
     if len(pilot.rays.origins) == 0:
         return None
     of_rays, of_surfaces = _of_points(pilot.rays.origins), _of_surfaces(pilot.boxes, world)
@@ -150,7 +150,7 @@ def _by_pilot(shape: Index, world: World, surfaces: SurfaceSet, frame: Frame) ->
     if max(shape) > MOST_CELLS:
         return by_rays
     lines = [_choice(*axis) for axis in zip(shape, of_rays, of_surfaces, strict=True)]
-    work = tally(pilot, make_space(world.step, [line.tolist() for line in lines]))
+    work = count_work(pilot, make_space(world.step, [line.tolist() for line in lines]))
     least, best = np.inf, by_rays
     for start in ([_uniform(cells) for cells in shape], by_surfaces, by_rays):
         planes = np.zeros((3, max(shape) + 1), np.int64)

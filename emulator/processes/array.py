@@ -19,19 +19,19 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
-from raygrid.emulator.processes.fork_server_client import Ended, Nursery
+from raygrid.emulator.processes.fork_server_client import ForkServerClient, ProcessEnded
 from raygrid.emulator.topology.limits import check_fits
-from raygrid.emulator.topology.socket_directory import LAST_EPOCH, Index, Place, host_endpoint
+from raygrid.emulator.topology.socket_directory import LAST_EPOCH, Index, SocketDirectory, host_endpoint
 from raygrid.node.errors import ArrayError, LostProcess, ProtocolError, RaygridError, Stuck
 
 if TYPE_CHECKING:
     import zmq
 
     from raygrid.emulator.driver.driver import Driver
-    from raygrid.emulator.driver.samples import Sample
+    from raygrid.emulator.driver.samples import NodeSample
     from raygrid.emulator.processes.control_channels import Words
-    from raygrid.emulator.processes.node_processes import Crew, NodeState
-    from raygrid.node.links import FaultPlan, Pair
+    from raygrid.emulator.processes.node_processes import NodeProcesses, ProcessState
+    from raygrid.node.links import FaultPlan, ZmqChannel
 
 BATCH = 4096  # most packets a message
 TRIES = 3  # epochs that are begun before an array counts as one that cannot be
@@ -89,14 +89,14 @@ class Array:
         self.on_words: Callable[[Index, Words], None] | None = None
         self.refused_samples = 0
         self._rate = 0.0
-        self._on_sample: Callable[[Sample], object] | None = None
+        self._on_sample: Callable[[NodeSample], object] | None = None
         self._on_warming = on_warming
         self.on_wait: Callable[[], None] | None = None
-        self._nursery: Nursery | None = None
-        self._crew: Crew | None = None
-        self._place: Place | None = None
+        self._nursery: ForkServerClient | None = None
+        self._crew: NodeProcesses | None = None
+        self._place: SocketDirectory | None = None
         self._context: zmq.Context[Any] | None = None
-        self._pairs: dict[int, Pair] = {}
+        self._pairs: dict[int, ZmqChannel] = {}
         self._poller: zmq.Poller | None = None  # of an epoch
         self._driver: Driver | None = None
         self._begun = self._closing = False
@@ -128,16 +128,16 @@ class Array:
         """The processes of the nodes, x fastest; they change when nodes are forked anew."""
         return [] if self._crew is None else list(self._crew.pids.values())
 
-    def nodes(self) -> list[NodeState]:
+    def nodes(self) -> list[ProcessState]:
         """Every node, x fastest, with its process and that process' state ("running", "waiting", "stopped", "dead")."""
         return [] if self._crew is None else self._crew.states()
 
     def begin(self) -> None:
         """Start the nursery, which warms up while the caller does other things."""
         self._begun = True
-        self._place = Place.create(self.shape)
+        self._place = SocketDirectory.create(self.shape)
         warm = "raygrid.emulator.processes.warm:warm_timed" if self.timed else "raygrid.emulator.processes.warm:warm"
-        self._nursery = Nursery.start(warm=warm, on_warming=self._on_warming, directory=self._place.path)
+        self._nursery = ForkServerClient.start(warm=warm, on_warming=self._on_warming, directory=self._place.path)
 
     def wait_warm(self) -> None:
         """Wait until the nursery has every kernel, and all that it compiled is in the cache on disk."""
@@ -159,9 +159,9 @@ class Array:
         assert self._nursery is not None
         import zmq
 
-        from raygrid.emulator.processes.node_processes import Crew
+        from raygrid.emulator.processes.node_processes import NodeProcesses
 
-        self._crew = Crew(self._nursery)
+        self._crew = NodeProcesses(self._nursery)
         self._context = zmq.Context(io_threads=1)
         self._begin_epochs()
 
@@ -212,7 +212,7 @@ class Array:
         from raygrid.emulator.topology.topology import host_links
         from raygrid.emulator.topology.wiring import node_configs
         from raygrid.node.geometry import corners
-        from raygrid.node.links import Pair
+        from raygrid.node.links import ZmqChannel
 
         assert self._crew is not None
         assert self._place is not None
@@ -225,7 +225,7 @@ class Array:
         self.epoch = (self.epoch + 1) & LAST_EPOCH  # after the last one nodes refuse the first, and are forked anew
         machine = os.urandom(8).hex()
         for corner, index in corners(self.shape).items():
-            zmq_channel = Pair(self._context, host_endpoint(self._place.path, self.epoch, index), bind=True)
+            zmq_channel = ZmqChannel(self._context, host_endpoint(self._place.path, self.epoch, index), bind=True)
             self._pairs[corner] = zmq_channel
             poller.register(zmq_channel.socket, zmq.POLLIN)
         told = {"batch": self.batch, "fault": self.fault, "programs": self.programs}
@@ -256,7 +256,7 @@ class Array:
 
     # --- while it lives ------------------------------------------------------------------------------
 
-    def probe(self, rate: float, watch: Callable[[Sample], object] | None) -> None:
+    def probe(self, rate: float, watch: Callable[[NodeSample], object] | None) -> None:
         """Let every node tell `rate` times a second how it stands, from now on, after resets too; 0: no more.
 
         `watch` is called with each sample while somebody waits for the array: by the driver's calls, and by `check`.
@@ -319,7 +319,7 @@ class Array:
         assert self._crew is not None
         self._heard = time.monotonic()
         for event in self._crew.hear():
-            if isinstance(event, Ended):
+            if isinstance(event, ProcessEnded):
                 if not (self._closing and event.code == 0):
                     raise LostProcess(_told(event))
             elif event.words.get("is") == "broken":
@@ -412,7 +412,7 @@ class Array:
         self.close()
 
 
-def _told(event: Ended) -> str:
+def _told(event: ProcessEnded) -> str:
     return f"node {_name(event.index)} (pid {event.pid}) ended: {event.why}"
 
 

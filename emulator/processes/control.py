@@ -32,7 +32,7 @@ def close_all(descriptors: list[int]) -> None:
         os.close(descriptors.pop())
 
 
-class Control:
+class ForkServerChannel:
     """Messages over a stream socket, without ever blocking; both ends use it.
 
     closed       nothing more will come

@@ -6,16 +6,16 @@ import select
 from typing import Any
 
 from raygrid.emulator.topology.socket_directory import Index
-from raygrid.node.links import Line
+from raygrid.node.links import ControlChannel
 
 Words = dict[str, Any]
 
 
-class Lines:
+class ControlChannels:
     """All lines of an array, by the nodes' coordinates. `fileno` can be polled for all of them at once."""
 
     def __init__(self) -> None:
-        self._lines: dict[Index, Line] = {}
+        self._lines: dict[Index, ControlChannel] = {}
         self._index_of: dict[int, Index] = {}
         self._epoll = select.epoll()
         self.refused = 0  # words that were none, of lines that are closed by now too
@@ -27,7 +27,7 @@ class Lines:
     def add(self, index: Index, descriptor: int) -> None:
         """Take over the descriptor of a new node's line, instead of any that there was."""
         self.remove(index)
-        self._lines[index] = Line(descriptor)
+        self._lines[index] = ControlChannel(descriptor)
         self._index_of[descriptor] = index
         self._epoll.register(descriptor, select.EPOLLIN)
 
@@ -62,6 +62,6 @@ class Lines:
             self.remove(index)
         self._epoll.close()
 
-    def _unwatch(self, line: Line) -> None:
+    def _unwatch(self, line: ControlChannel) -> None:
         if self._index_of.pop(line.fileno(), None) is not None:
             self._epoll.unregister(line.fileno())

@@ -43,7 +43,7 @@ from contextlib import suppress
 from fcntl import F_GETFL, F_SETFL, F_SETOWN, fcntl
 from typing import NoReturn
 
-from raygrid.emulator.processes.control import MOST_DESCRIPTORS, Control, Message, close_all
+from raygrid.emulator.processes.control import MOST_DESCRIPTORS, ForkServerChannel, Message, close_all
 from raygrid.emulator.topology import socket_directory
 from raygrid.emulator.topology.socket_directory import Index
 from raygrid.node.errors import RaygridError
@@ -63,7 +63,7 @@ class ForkServer:
     children   the living nodes, process id -> index
     """
 
-    def __init__(self, control: Control, run: Run, front_end: int, directory: str | None) -> None:
+    def __init__(self, control: ForkServerChannel, run: Run, front_end: int, directory: str | None) -> None:
         self.control = control
         self.children: dict[int, Index] = {}
         self._run = run
@@ -280,7 +280,7 @@ def end_if_orphaned(control: socket.socket, directory: str | None) -> None:
     look()
 
 
-def warm_up(control: Control, program: str, warm: str, directory: str | None = None) -> Run:
+def warm_up(control: ForkServerChannel, program: str, warm: str, directory: str | None = None) -> Run:
     """Import the node program and warm it, with a report a step; returns its `run`."""
     end_if_orphaned(control.socket, directory)
     gc.disable()  # of what is imported and loaded nearly all stays, and looking it through takes a sixth of the time
@@ -329,7 +329,7 @@ def main(argv: list[str] | None = None) -> NoReturn:
     if os.environ.get(DEBUG):
         faulthandler.enable()
     os.set_inheritable(arguments.fd, False)
-    control = Control(socket.socket(fileno=arguments.fd))
+    control = ForkServerChannel(socket.socket(fileno=arguments.fd))
     try:
         run = warm_up(control, arguments.program, arguments.warm, arguments.directory)
         ForkServer(control, run, arguments.front_end, arguments.directory).serve()

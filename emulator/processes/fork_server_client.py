@@ -1,6 +1,6 @@
 """The front end's side of the nursery: start it, launch nodes, hear of their ends, and leave no process behind.
 
-    with Nursery.start() as nursery:  # returns at once; read the scene while it warms
+    with ForkServerClient.start() as nursery:  # returns at once; read the scene while it warms
         nursery.wait_warm(timeout=300)
         nursery.launch(configs)  # one map a node, with its "index"
         ...  # poll nursery.fileno(), and when it can be read, nursery.read_events()
@@ -26,9 +26,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Self
 
-from raygrid.emulator.processes.control import Control, Message, close_all
+from raygrid.emulator.processes.control import ForkServerChannel, Message, close_all
 from raygrid.emulator.processes.fork_server import LAST_WAIT, open_pidfd
-from raygrid.emulator.processes.stderr_log import StderrWords
+from raygrid.emulator.processes.stderr_log import StderrLog
 from raygrid.emulator.topology.socket_directory import Index, process_state
 from raygrid.node.errors import ArrayError, LostProcess
 
@@ -51,7 +51,7 @@ class Warming(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Ended:
+class ProcessEnded:
     """The node with coordinates `index` has ended.
 
     status   its exit code, or minus the number of the signal that ended it
@@ -82,10 +82,10 @@ class Ended:
         return f"node {','.join(map(str, self.index))} (process {self.pid}) ended by {self.why}"
 
 
-Event = Warming | Ended
+Event = Warming | ProcessEnded
 
 
-class Nursery:
+class ForkServerClient:
     """The process that all nodes are forked from. Use as a context manager; leaves no process.
 
     pid     its process id, which is also its session and process group
@@ -99,8 +99,8 @@ class Nursery:
         self.pid = process.pid
         self.warm = self.deaf = False
         self._process = process
-        self._control = Control(control)
-        self._stderr = StderrWords(stderr)
+        self._control = ForkServerChannel(control)
+        self._stderr = StderrLog(stderr)
         self._pidfd = open_pidfd(process.pid)
         self._on_warming = on_warming
         self._pids: dict[int, Index] = {}
@@ -125,7 +125,7 @@ class Nursery:
         warm: str = "raygrid.emulator.processes.warm:warm",
         on_warming: OnWarming | None = None,
         directory: str | None = None,
-    ) -> Nursery:
+    ) -> ForkServerClient:
         """Start the process and return at once; it imports and warms `program` meanwhile.
 
         program      module with run(config: dict, life: int), the whole life of a node
@@ -336,7 +336,7 @@ class Nursery:
             index: Index = message["index"]
             self._pids.pop(message["pid"], None)
             status: int = message["status"]
-            self._events.append(Ended(message["pid"], index, status, self._stderr.take(index, status)))
+            self._events.append(ProcessEnded(message["pid"], index, status, self._stderr.take(index, status)))
         elif kind != "lines":  # launched, or refused
             indices = (tuple(config["index"]) for config in self._asked)
             self._pids.update(zip(message.get("pids", ()), indices, strict=False))

@@ -7,9 +7,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from raygrid.emulator.processes.control_channels import Lines, Words
+from raygrid.emulator.processes.control_channels import ControlChannels, Words
 from raygrid.emulator.processes.fork_server import LAST_WAIT
-from raygrid.emulator.processes.fork_server_client import LOOK_SECONDS, Ended, Nursery
+from raygrid.emulator.processes.fork_server_client import LOOK_SECONDS, ForkServerClient, ProcessEnded
 from raygrid.emulator.topology.socket_directory import STATES, Index, process_state
 from raygrid.emulator.topology.wiring import Config, reset_order
 from raygrid.node.errors import LostProcess
@@ -21,7 +21,7 @@ RESET_SECONDS, RESET_SECONDS_A_NODE = 1.0, 0.01
 
 
 @dataclass(frozen=True)
-class Said:
+class NodeReport:
     """What a node said on its line."""
 
     index: Index
@@ -29,7 +29,7 @@ class Said:
 
 
 @dataclass(frozen=True)
-class NodeState:
+class ProcessState:
     """A node, its process, and how that stands: a word of `places.STATES`."""
 
     index: Index
@@ -37,7 +37,7 @@ class NodeState:
     state: str
 
 
-class Crew:
+class NodeProcesses:
     """The nodes of an array as processes.
 
     pids    the process of each node, also of one that has ended and was not forked anew yet
@@ -45,32 +45,32 @@ class Crew:
     lost    those that ended by themselves, in the order in which that was heard; for the caller to clear
     """
 
-    def __init__(self, nursery: Nursery) -> None:
+    def __init__(self, nursery: ForkServerClient) -> None:
         self.nursery = nursery
-        self.lines = Lines()
+        self.lines = ControlChannels()
         self.pids: dict[Index, int] = {}
         self.dead: set[Index] = set()
-        self.lost: list[Ended] = []
+        self.lost: list[ProcessEnded] = []
 
     def filenos(self) -> tuple[int, int]:
         """Descriptors of which one can be read when `hear` has something to tell."""
         return self.nursery.fileno(), self.lines.fileno()
 
-    def hear(self) -> list[Ended | Said]:
+    def hear(self) -> list[ProcessEnded | NodeReport]:
         """Which nodes have ended, and what others said, without waiting. Raises LostProcess if the nursery is gone."""
-        heard: list[Ended | Said] = [Said(index, words) for index, words in self.lines.receive()]
+        heard: list[ProcessEnded | NodeReport] = [NodeReport(index, words) for index, words in self.lines.receive()]
         for event in self.nursery.read_events():
-            if isinstance(event, Ended) and self.pids.get(event.index) == event.pid:
+            if isinstance(event, ProcessEnded) and self.pids.get(event.index) == event.pid:
                 self.dead.add(event.index)
                 self.lines.remove(event.index)
                 self.lost.append(event)
                 heard.append(event)
         return heard
 
-    def states(self) -> list[NodeState]:
+    def states(self) -> list[ProcessState]:
         """Every node with its process, as the kernel sees it now."""
         found = [(index, pid, process_state(pid)) for index, pid in self.pids.items()]
-        return [NodeState(index, pid, STATES.get(letter, letter)) for index, pid, letter in found]
+        return [ProcessState(index, pid, STATES.get(letter, letter)) for index, pid, letter in found]
 
     def begin(self, configs: dict[Index, Config]) -> int:
         """Bring every node to the epoch of these configs; returns how many were forked for it.
@@ -115,7 +115,7 @@ class Crew:
         while not all_answered() and (left := deadline - time.monotonic()) > 0:
             self._wait(left)
             for event in self.hear():
-                if isinstance(event, Said) and _acknowledges(event.words, configs[event.index]):
+                if isinstance(event, NodeReport) and _acknowledges(event.words, configs[event.index]):
                     silent.discard(event.index)
         return silent - self.dead
 

@@ -17,7 +17,7 @@ OWN, NODE = "raygrid ", "raygrid node "
 ENDED_BY_LIBRARY = (127, -int(signal.SIGABRT))
 
 
-class StderrWords:
+class StderrLog:
     """What nursery and nodes write to stderr, from a descriptor that is read without waiting.
 
     closed   all who could write to it are gone

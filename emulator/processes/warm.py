@@ -25,7 +25,7 @@ from raygrid.node import remarks
 from raygrid.node.errors import ArrayError
 from raygrid.node.geometry import (
     LATTICE,
-    SHIFT,
+    MOTION_SHIFT,
     STORED_AS,
     Batch,
     Kind,
@@ -119,7 +119,7 @@ def warm(report: Report) -> None:
         moves = Moves(make_groups(np.zeros(1, np.int64), np.zeros(1, np.int64), 1), at_rest(1))
         array.driver.load(space, _one_of_each(), moves)
         moved = moves.motions.copy()
-        moved[0, SHIFT] = 1e-3
+        moved[0, MOTION_SHIFT] = 1e-3
         array.driver.move(moves._replace(motions=moved))
         array.driver.trace(frame)
         sums, _ = array.driver.collect(frame.width * frame.height)

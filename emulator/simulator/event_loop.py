@@ -20,31 +20,31 @@ from numpy.typing import NDArray
 
 from raygrid.node.geometry import HOST, PORTS, Cell, Surfaces, coordinate
 from raygrid.node.jit import lean, part
-from raygrid.node.protocol import BORN, COUNTS, DIED, HEAD, KINDS, NEVER, PIXEL, PRIMARY, RETURN, SIZE, put_pixel
+from raygrid.node.protocol import BORN, COUNTS, DIED, HEAD, KINDS, NEVER_TICK, PIXEL, PRIMARY, RETURN, SIZE, put_pixel
 from raygrid.node.timed import (
-    AFTER,
-    BEFORE,
     FREE,
     HOPS_AT,
-    LAST_BIRTH,
+    LAST_PRIMARY,
     MOST_HOPS,
-    NEXT_BIRTH,
+    NEXT_PRIMARY,
     PACKET,
-    RECORD,
+    PACKETS_WAITING,
+    RECORD_BYTES,
+    RECORD_WORDS,
     TICK,
-    WAITING,
     WAKE,
-    WORDS,
+    WAKE_AFTER,
+    WAKE_BEFORE,
     arrival,
-    born,
     decides,
     gather,
     give_back,
     put,
     serve,
+    spawned,
     take,
 )
-from raygrid.node.tracing import bear_sample
+from raygrid.node.tracing import spawn_sample
 
 Long = NDArray[np.int64]
 
@@ -79,10 +79,10 @@ class Watch(NamedTuple):
     bins: Long
 
 
-class Births(NamedTuple):
+class PrimaryOrder(NamedTuple):
     """What nodes bear when no packet waits: rays of samples, or pixel packets.
 
-    samples  uint32 (n,), sorted by node; node k has rows NEXT_BIRTH to LAST_BIRTH - 1
+    samples  uint32 (n,), sorted by node; node k has rows NEXT_PRIMARY to LAST_PRIMARY - 1
     pixels   whether they are pixels
     """
 
@@ -96,9 +96,9 @@ def _enter(wheel, nodes, k, tick):
     nodes[k, WAKE] = tick
     stretch = min(tick >> wheel.shift, wheel.state[NOW] + len(wheel.firsts) - 1) & (len(wheel.firsts) - 1)
     after = wheel.firsts[stretch]
-    nodes[k, BEFORE], nodes[k, AFTER] = -1 - stretch, after
+    nodes[k, WAKE_BEFORE], nodes[k, WAKE_AFTER] = -1 - stretch, after
     if after >= 0:
-        nodes[after, BEFORE] = k
+        nodes[after, WAKE_BEFORE] = k
     wheel.firsts[stretch] = k
     wheel.state[IN_WHEEL] += 1
 
@@ -106,13 +106,13 @@ def _enter(wheel, nodes, k, tick):
 @part
 def _leave(wheel, nodes, k):
     """Take node k out of the wheel."""
-    before, after = nodes[k, BEFORE], nodes[k, AFTER]
+    before, after = nodes[k, WAKE_BEFORE], nodes[k, WAKE_AFTER]
     if before >= 0:
-        nodes[before, AFTER] = after
+        nodes[before, WAKE_AFTER] = after
     else:
         wheel.firsts[-1 - before] = after
     if after >= 0:
-        nodes[after, BEFORE] = before
+        nodes[after, WAKE_BEFORE] = before
     nodes[k, WAKE] = -1
     wheel.state[IN_WHEEL] -= 1
 
@@ -182,22 +182,22 @@ def held_by(surfaces, first, last):
 
 
 @part
-def _bear_next(timed, k, tick, cell, space, frame, pixels, births, scratch, watch, outputs, prices):
+def _spawn_next(timed, k, tick, cell, space, frame, pixels, births, scratch, watch, outputs, prices):
     """The next ray or pixel packet of a node."""
-    number = np.int64(births.samples[timed.nodes[k, NEXT_BIRTH]])
-    timed.nodes[k, NEXT_BIRTH] += 1
+    number = np.int64(births.samples[timed.nodes[k, NEXT_PRIMARY]])
+    timed.nodes[k, NEXT_PRIMARY] += 1
     if births.pixels:
         sums = (pixels.sums[number, 0], pixels.sums[number, 1], pixels.sums[number, 2])
         put_pixel(scratch, 0, number, sums, frame.samples & 0xFFFF)
         watch.total[BORN + PIXEL] += 1
-        born(timed, k, tick, scratch, 0, prices.counts[BORN + PIXEL])
+        spawned(timed, k, tick, scratch, 0, prices.counts[BORN + PIXEL])
     else:
         pixel = number // frame.samples
         j = pixel // frame.width
         i, sample = pixel - j * frame.width, number - pixel * frame.samples
-        made = bear_sample(cell, space, frame, pixels, i, j, pixel, sample, scratch, outputs.seen)
+        made = spawn_sample(cell, space, frame, pixels, i, j, pixel, sample, scratch, outputs.seen)
         watch.total[BORN + PRIMARY] += made
-        born(timed, k, tick, scratch, 0, prices.counts[BORN + PRIMARY])
+        spawned(timed, k, tick, scratch, 0, prices.counts[BORN + PRIMARY])
 
 
 @part
@@ -225,8 +225,8 @@ def _deliver(timed, wheel, watch, space, outputs, k, done, hops, handed_on, pric
 def _serve_next(timed, k, tick, wheel, watch, cell, space, frame, surfaces, pixels, outputs, counts, prices):
     """Serve the next packet of node k and send on what comes of it."""
     slot = take(timed, k, tick)
-    arrived = timed.words[slot * WORDS + TICK]
-    byte = slot * RECORD
+    arrived = timed.words[slot * RECORD_WORDS + TICK]
+    byte = slot * RECORD_BYTES
     kind = np.int64(timed.bytes[byte + PACKET]) & 7
     hops = np.int64(timed.bytes[byte + HOPS_AT]) | np.int64(timed.bytes[byte + HOPS_AT + 1]) << 8
     done = serve(timed, k, slot, tick, cell, space, frame, surfaces, pixels, outputs, counts, prices)
@@ -267,14 +267,14 @@ def run(timed, wheel, watch, space, frame, surfaces, roots, pixels, births, scra
         while tick < end and timed.spare[1] >= need:
             wheel.state[EVENTS] += 1
             gather(timed, k, tick)
-            if timed.nodes[k, WAITING] > 0:
+            if timed.nodes[k, PACKETS_WAITING] > 0:
                 here = held_by(surfaces, roots[k, 0], roots[k, 1])
                 _serve_next(timed, k, tick, wheel, watch, cell, space, frame, here, pixels, outputs, counts, prices)
             else:
-                _bear_next(timed, k, tick, cell, space, frame, pixels, births, scratch, watch, outputs, prices)
+                _spawn_next(timed, k, tick, cell, space, frame, pixels, births, scratch, watch, outputs, prices)
                 _count_time(watch, wheel, SERVICES, tick, timed.nodes[k, FREE])
-            tick = decides(timed, k, timed.nodes[k, NEXT_BIRTH] < timed.nodes[k, LAST_BIRTH])
-        if tick < NEVER:
+            tick = decides(timed, k, timed.nodes[k, NEXT_PRIMARY] < timed.nodes[k, LAST_PRIMARY])
+        if tick < NEVER_TICK:
             _enter(wheel, timed.nodes, k, tick)
     return DONE
 
@@ -283,7 +283,7 @@ def run(timed, wheel, watch, space, frame, surfaces, roots, pixels, births, scra
 def enter_all(timed, wheel):
     """Put every node that has something to bear into the wheel."""
     for k in range(len(timed.nodes)):
-        if timed.nodes[k, NEXT_BIRTH] < timed.nodes[k, LAST_BIRTH]:
+        if timed.nodes[k, NEXT_PRIMARY] < timed.nodes[k, LAST_PRIMARY]:
             _enter(wheel, timed.nodes, k, timed.nodes[k, FREE])
 
 

@@ -20,17 +20,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.node.geometry import (
-    CHILDREN,
+    CHILD_COLUMN,
     COUNT_SHIFT,
     FIRST_MASK,
     HALF,
     KIND_SHIFT,
     LATTICE,
     LEAF_BIT,
+    NODE_WORDS,
     SLACK,
     STORED_AS,
     WIDE,
-    WORDS,
     AnyKind,
     Batch,
     Kind,
@@ -49,7 +49,7 @@ from raygrid.node.tracing import build_surfaces, empty_surfaces
 Long = NDArray[np.int64]
 
 
-class Holdings(NamedTuple):
+class SharedGeometry(NamedTuple):
     """Who holds what.
 
     cells  int64 (pairs,), ascending; kinds int64 (pairs,); rows int64 (pairs,) of the batch of that kind, ascending
@@ -142,7 +142,7 @@ def _touched(every, low_at, high_at, shape, cells, surfaces):
     return found
 
 
-def holdings(surfaces: SurfaceSet, space: Space) -> Holdings:
+def shared_geometry(surfaces: SurfaceSet, space: Space) -> SharedGeometry:
     """What each cell holds of surfaces in the order of `ordered`."""
     nx, ny, nz = space.shape
     low_at, high_at = (np.zeros((3, max(space.shape))) for _ in range(2))
@@ -161,7 +161,7 @@ def holdings(surfaces: SurfaceSet, space: Space) -> Holdings:
     kinds, rows = every.kinds[found[order]], every.rows[found[order]]
     held = np.zeros((nx * ny * nz, len(Kind)), np.int64)
     np.add.at(held, (cells[order], kinds), 1)
-    return Holdings(cells[order], kinds, rows, held)
+    return SharedGeometry(cells[order], kinds, rows, held)
 
 
 def whole_world(space: Space) -> Space:
@@ -169,7 +169,7 @@ def whole_world(space: Space) -> Space:
     return make_space(space.step, [[0, LATTICE]] * 3)
 
 
-def one_hierarchy(surfaces: SurfaceSet, space: Space, held: Holdings) -> tuple[Surfaces, Long]:
+def one_hierarchy(surfaces: SurfaceSet, space: Space, held: SharedGeometry) -> tuple[Surfaces, Long]:
     """(tables, roots int64 (cells, 2)): all nodes look into one hierarchy, those that hold nothing into none."""
     built = build_surfaces(surfaces, make_cell(whole_world(space), (0, 0, 0)))
     roots = np.zeros((len(held.held), 2), np.int64)
@@ -181,14 +181,14 @@ def one_hierarchy(surfaces: SurfaceSet, space: Space, held: Holdings) -> tuple[S
 def _relocate(words, first):
     """Let the leaves of a hierarchy name items from `first` on."""
     for node in range(len(words)):
-        for lane in range(CHILDREN, CHILDREN + WIDE):
+        for lane in range(CHILD_COLUMN, CHILD_COLUMN + WIDE):
             child = np.int64(words[node, lane])
             if child >= LEAF_BIT:
                 kept = child - (child & FIRST_MASK)
                 words[node, lane] = np.uint32(kept | ((child & FIRST_MASK) + first))
 
 
-def trees(surfaces: SurfaceSet, space: Space, held: Holdings) -> tuple[Surfaces, Long]:
+def trees(surfaces: SurfaceSet, space: Space, held: SharedGeometry) -> tuple[Surfaces, Long]:
     """(tables, roots int64 (cells, 2)): each node has the hierarchy that it would build itself."""
     roots = np.zeros((len(held.held), 2), np.int64)
     by_kind = {batch.kind: batch for batch in surfaces}
@@ -219,7 +219,7 @@ def trees(surfaces: SurfaceSet, space: Space, held: Holdings) -> tuple[Surfaces,
 
 def _gathered(by_kind: dict[AnyKind, Batch], kinds: Long, rows: Long, made: list[NDArray[np.float32]]) -> Surfaces:
     """The tables of surfaces in the order of the leaves of all hierarchies; a surface is there once for each cell."""
-    floats = np.concatenate([np.zeros((0, WORDS), np.float32), *made])
+    floats = np.concatenate([np.zeros((0, NODE_WORDS), np.float32), *made])
     items = kinds.astype(np.uint32) << np.uint32(KIND_SHIFT)
     ids, materials = np.zeros(len(kinds), np.uint32), np.zeros(len(kinds), np.uint16)
     columns: dict[str, Any] = {}

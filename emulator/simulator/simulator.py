@@ -14,35 +14,35 @@ from numpy.typing import NDArray
 
 from raygrid.emulator.processes import compile_clock
 from raygrid.emulator.simulator import event_loop
-from raygrid.emulator.simulator.event_loop import BINS, HOPS, STRETCHES, Births, Watch, Wheel, enter_all, run
+from raygrid.emulator.simulator.event_loop import BINS, HOPS, STRETCHES, PrimaryOrder, Watch, Wheel, enter_all, run
 from raygrid.emulator.simulator.sample_order import order_of_pixels, order_of_samples
-from raygrid.emulator.simulator.shared_tables import holdings, one_hierarchy, ordered, trees
+from raygrid.emulator.simulator.shared_tables import one_hierarchy, ordered, shared_geometry, trees
 from raygrid.emulator.topology.limits import check_simulated_fits, read_memory
 from raygrid.node.errors import ArrayError, TooLarge
 from raygrid.node.geometry import DEPTH, Space, Surfaces, SurfaceSet
 from raygrid.node.protocol import BORN, COUNTS, DIED, KINDS, SIZE, Frame, Prices
 from raygrid.node.timed import (
     BUSY,
+    CLOCK_FIELDS,
     ENDED,
-    FIELDS,
-    LAST_BIRTH,
+    LAST_PRIMARY,
     LIST_TICKS,
-    NEXT_BIRTH,
+    NEXT_PRIMARY,
     PACKETS_SENT,
-    RECORD,
-    SERVED,
+    PACKETS_SERVED,
+    RECORD_BYTES,
     TRACE,
     WAITED,
-    Timed,
+    ServiceClock,
     grown,
-    make_timed,
+    make_service_clock,
 )
 from raygrid.node.tracing import Pixels, make_outputs
 
 Long = NDArray[np.int64]
 TURN_EVENTS = 1 << 20  # between two looks at signals and progress
 FIRST_ROOM = 1 << 16  # packets; doubled whenever they do not suffice
-BOOKS_BYTES = FIELDS * 8  # of a node in a phase that runs, or is kept
+BOOKS_BYTES = CLOCK_FIELDS * 8  # of a node in a phase that runs, or is kept
 NODE_BYTES = 128  # of a node that holds nothing, beside its books: who bears and holds what, the flood (measured: 96)
 SAMPLE_BYTES = 16  # of a sample while the order of births is worked out
 PIXEL_BYTES = 160  # of a pixel: sums of the phase and of the picture, and the order of the read-out (measured: 143)
@@ -56,7 +56,7 @@ class Phase:
     """What happened in one phase, which begins at tick 0 with empty queues.
 
     ticks      when the last service ended
-    nodes      int64 (n, node.timed.FIELDS), the books of every node
+    nodes      int64 (n, node.timed.CLOCK_FIELDS), the books of every node
     total      int64 (COUNTS,), counts of all steps
     hops       int64 (KINDS, HOPS): packets that died after so many hops
     levels     int64 (3, BINS): packets that wait, nodes that serve, packets on links, at the begin of each bin
@@ -86,7 +86,7 @@ class Phase:
 
     def without_books(self) -> Phase:
         """The same, but that what each node did is forgotten, which is nearly all that a phase takes."""
-        return replace(self, nodes=np.zeros((0, FIELDS), np.int64))
+        return replace(self, nodes=np.zeros((0, CLOCK_FIELDS), np.int64))
 
 
 def digest_of(traces: Long) -> str:
@@ -131,7 +131,7 @@ def make_model(space: Space, surfaces: SurfaceSet, frame: Frame, search: str, bo
     check_room(space.shape, frame, books)
     begun = compile_clock.now()
     sorted_surfaces = ordered(surfaces)
-    held = holdings(sorted_surfaces, space)
+    held = shared_geometry(sorted_surfaces, space)
     tables, roots = (trees if search == "tree" else one_hierarchy)(sorted_surfaces, space, held)
     loaded = compile_clock.now()
     samples, borders = order_of_samples(frame, space)
@@ -147,7 +147,7 @@ def check_room(shape: tuple[int, int, int], frame: Frame, books: int) -> None:
         shape,
         samples,
         bytes_per_node=NODE_BYTES + books * BOOKS_BYTES,
-        fixed_bytes=samples * SAMPLE_BYTES + pixels * PIXEL_BYTES + 2 * FIRST_ROOM * RECORD,
+        fixed_bytes=samples * SAMPLE_BYTES + pixels * PIXEL_BYTES + 2 * FIRST_ROOM * RECORD_BYTES,
     )
 
 
@@ -166,7 +166,7 @@ def whole_picture(frame: Frame) -> Pixels:
 def trace(model: Model, prices: Prices, list_ticks: Long, tell: Tell | None = None) -> tuple[Phase, Pixels]:
     """Trace the frame. `list_ticks` int64 (n,): what each walk costs in each node beside its price."""
     pixels = whole_picture(model.frame)
-    births = Births(model.samples, False)
+    births = PrimaryOrder(model.samples, False)
     phase = _run(model, prices, list_ticks, births, model.borders, pixels, tell, "trace")
     born, died = phase.total[BORN : BORN + KINDS], phase.total[DIED : DIED + KINDS]
     if not np.array_equal(born, died):
@@ -177,7 +177,7 @@ def trace(model: Model, prices: Prices, list_ticks: Long, tell: Tell | None = No
 def read_out(model: Model, prices: Prices, pixels: Pixels, tell: Tell | None = None) -> Phase:
     """Send all pixels from their homes to the host, as after a frame."""
     numbers, borders = order_of_pixels(model.frame, model.samples, model.borders)
-    births = Births(numbers, True)
+    births = PrimaryOrder(numbers, True)
     return _run(model, prices, np.zeros(model.nodes, np.int64), births, borders, pixels, tell, "read-out")
 
 
@@ -185,7 +185,7 @@ def _run(
     model: Model,
     prices: Prices,
     list_ticks: Long,
-    births: Births,
+    births: PrimaryOrder,
     borders: Long,
     pixels: Pixels,
     tell: Tell | None,
@@ -193,9 +193,9 @@ def _run(
 ) -> Phase:
     """Run one phase to its end."""
     begun = compile_clock.now()
-    timed = make_timed(model.nodes, FIRST_ROOM)
+    timed = make_service_clock(model.nodes, FIRST_ROOM)
     timed.nodes[:, LIST_TICKS] = list_ticks
-    timed.nodes[:, NEXT_BIRTH], timed.nodes[:, LAST_BIRTH] = borders[:-1], borders[1:]
+    timed.nodes[:, NEXT_PRIMARY], timed.nodes[:, LAST_PRIMARY] = borders[:-1], borders[1:]
     shift = prices.lookahead.bit_length() - 1
     wheel = Wheel(np.full(STRETCHES, -1, np.int64), shift, np.zeros(8, np.int64))
     watch = Watch(np.zeros(COUNTS, np.int64), np.zeros((KINDS, HOPS), np.int64), np.zeros((3, BINS), np.int64))
@@ -222,17 +222,17 @@ def _run(
         1 << int(wheel.state[event_loop.BIN_SHIFT]),
         int(wheel.state[event_loop.HOST_TICK]),
         int(wheel.state[event_loop.EVENTS]),
-        len(timed.words) * 8 // RECORD,
+        len(timed.words) * 8 // RECORD_BYTES,
         compile_clock.now() - begun,
     )
 
 
-def _with_more_room(timed: Timed) -> Timed:
-    room = 2 * (len(timed.words) * 8 // RECORD)
+def _with_more_room(timed: ServiceClock) -> ServiceClock:
+    room = 2 * (len(timed.words) * 8 // RECORD_BYTES)
     there = read_memory()
-    if room * RECORD > there.left:
+    if room * RECORD_BYTES > there.left:
         raise TooLarge(
-            f"{room // 2:,} packets are in flight, and room for {room:,} needs {room * RECORD / 1e9:.1f} GB: "
+            f"{room // 2:,} packets are in flight, and room for {room:,} needs {room * RECORD_BYTES / 1e9:.1f} GB: "
             f"{there.limit} leaves {max(there.left, 0) / 1e9:.1f} GB"
         )
     return grown(timed, room)
@@ -243,4 +243,4 @@ def list_ticks_of(held: Long, tests: Long) -> Long:
     return np.asarray(held @ tests, np.int64)
 
 
-__all__ = ["BUSY", "PACKETS_SENT", "SERVED", "WAITED", "Model", "Phase", "make_model", "read_out", "trace"]
+__all__ = ["BUSY", "PACKETS_SENT", "PACKETS_SERVED", "WAITED", "Model", "Phase", "make_model", "read_out", "trace"]

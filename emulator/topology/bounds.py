@@ -39,6 +39,7 @@ import numpy as np
 
 from raygrid.node.geometry import (
     CONE_COLUMNS,
+    NODE_WORDS,
     OUTPUTS,
     OWN_COLUMNS,
     PLANE_COLUMNS,
@@ -46,15 +47,14 @@ from raygrid.node.geometry import (
     STORED_AS,
     STRIDE,
     SURFACE_KINDS,
-    WORDS,
     AddedKind,
     AnyKind,
     Kind,
 )
 from raygrid.node.links import MESSAGE_OVERHEAD
 from raygrid.node.protocol import HEAD, SIZE, SPECULAR, TRANSMISSION, Frame
-from raygrid.node.runtime import ROOM
-from raygrid.node.tracing import ADMIT_AT_ONCE, BYTES_A_PACKET, FIRST_ROOM, PORTION
+from raygrid.node.runtime import OUTPUT_ROOM
+from raygrid.node.tracing import ADMIT_AT_ONCE, BYTES_A_PACKET, FIRST_QUEUE_ROOM, PORTION
 
 WORD = 8  # bytes of a float64 or int64
 NAMED = 4 + 2  # bytes of a surface's id and material
@@ -120,7 +120,7 @@ def surfaces_bound(counts: dict[str, int], polygon_points: int) -> int:
         Kind.CONE: CONE_COLUMNS * WORD,
         AddedKind.PROGRAMMED: OWN_COLUMNS * WORD,
     }
-    inner = WORDS * 4  # each node of the hierarchy has two children or more, unless it is the only one
+    inner = NODE_WORDS * 4  # each node of the hierarchy has two children or more, unless it is the only one
     total = 3 * WORD  # ends of tables
     for kind in SURFACE_KINDS:
         described = NAMED + (0 if kind == Kind.POLYGON else STRIDE[kind] * np.dtype(STORED_AS[kind]).itemsize)
@@ -141,11 +141,11 @@ def memory_bound(frame: Frame, budget: int, homes: int, batch: int, surfaces: in
     # room is made before it is known what comes
     more = max(batch, ADMIT_AT_ONCE, PORTION * max(frame.n_lights, 2))
     stacks = (max(trees * grown.packets, pixel_packets), trees * grown.shadows, trees * grown.rays)
-    room = max(ROOM, 2 * (frame.n_lights + 2))
+    room = max(OUTPUT_ROOM, 2 * (frame.n_lights + 2))
     return {
         "surfaces": surfaces,
         "pixels": frame.width * frame.height * PIXEL_BYTES,
-        "backlog": sum(max(FIRST_ROOM, 2 * (held + more)) for held in stacks) * BYTES_A_PACKET,
+        "backlog": sum(max(FIRST_QUEUE_ROOM, 2 * (held + more)) for held in stacks) * BYTES_A_PACKET,
         "outputs": OUTPUTS * (HEAD + room * SIZE),
         "links": max(trees * grown.packets, pixel_packets) * (SIZE + MESSAGE_OVERHEAD),
     }

@@ -68,7 +68,7 @@ def longest_path(directory: str, shape: Index) -> int:
     return max(len(os.fsencode(name.removeprefix("ipc://"))) for name in names)
 
 
-class Place:
+class SocketDirectory:
     """The socket directory of one array, removed with all that is in it at the end of the `with` block.
 
     path    the directory
@@ -82,7 +82,7 @@ class Place:
         atexit.register(self.remove)
 
     @classmethod
-    def create(cls, shape: Index) -> Place:
+    def create(cls, shape: Index) -> SocketDirectory:
         """Make a directory whose paths are short enough for the sockets of an array of `shape`.
 
         Also removes the directories that dead front ends left beside it.

@@ -11,7 +11,7 @@ from raygrid.node.links import Channel, Link
 Index = tuple[int, int, int]
 
 
-class Wire(NamedTuple):
+class Wiring(NamedTuple):
     """A link between neighbours: `lower` is the one with the smaller coordinate on the axis."""
 
     lower: Index
@@ -37,14 +37,14 @@ def indices(shape: Index) -> Iterator[Index]:
                 yield (x, y, z)
 
 
-def neighbour_links(shape: Index) -> Iterator[Wire]:
+def neighbour_links(shape: Index) -> Iterator[Wiring]:
     """Every link between two face neighbours, once."""
     for index in indices(shape):
         for axis in range(3):
             if index[axis] + 1 < shape[axis]:
                 upper = list(index)
                 upper[axis] += 1
-                yield Wire(index, (upper[0], upper[1], upper[2]), axis)
+                yield Wiring(index, (upper[0], upper[1], upper[2]), axis)
 
 
 def host_links(shape: Index, channels: Mapping[int, Channel], machine: str, epoch: int) -> dict[int, Link]:

@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from raygrid.host.cli.group_service import ArrayName
-from raygrid.host.cli.types import AnyType, FileName, Number, Pair, Shape, outside_option, path_option
+from raygrid.host.cli.group_service import ArrayNameType
+from raygrid.host.cli.types import AnyType, FileName, NumberType, PairType, ShapeType, outside_option, path_option
 
 Command = Callable[..., Any]
 
@@ -43,7 +43,7 @@ docs/deadlock.md has what this shows, with counts.
 """
 
 
-class Place(AnyType):
+class PixelType(AnyType):
     """A pixel, `200,150`."""
 
     name = "place"
@@ -62,16 +62,16 @@ class Place(AnyType):
 def _frame_options(command: Command) -> Command:
     """The options of `render` that say what is traced, for commands that trace in memory."""
     options = (
-        click.option("--array", "shape", type=Shape(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
+        click.option("--array", "shape", type=ShapeType(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
                      help="Processors on each axis."),
-        click.option("--size", type=Pair(), metavar="WxH", help="Pixels, as for render."),
-        click.option("--samples", type=Number(1, 1 << 32), metavar="N", help="Samples a pixel, as for render."),
-        click.option("--depth", type=Number(1, 31), metavar="N", help="Depth of the last hit that is lit, as for render."),
-        click.option("--min-weight", type=Number(0.0, 1e30), metavar="WEIGHT", help="Least weight of rays, as for render."),
+        click.option("--size", type=PairType(), metavar="WxH", help="Pixels, as for render."),
+        click.option("--samples", type=NumberType(1, 1 << 32), metavar="N", help="Samples a pixel, as for render."),
+        click.option("--depth", type=NumberType(1, 31), metavar="N", help="Depth of the last hit that is lit, as for render."),
+        click.option("--min-weight", type=NumberType(0.0, 1e30), metavar="WEIGHT", help="Least weight of rays, as for render."),
         click.option("--highlights/--no-highlights", default=None, help="Phong highlights, as for render."),
         click.option("--split", type=click.Choice(["balanced", "uniform"]), default="balanced", show_default=True,
                      help="Where the planes between processors lie, as for render."),
-        click.option("--frame", type=Number(1, 1_000_000), metavar="N", help="The frame of a shot.  [default: 1]"),
+        click.option("--frame", type=NumberType(1, 1_000_000), metavar="N", help="The frame of a shot.  [default: 1]"),
     )
     for option in reversed(options):
         command = option(command)
@@ -80,8 +80,8 @@ def _frame_options(command: Command) -> Command:
 
 @click.command(epilog=TRACE_EXAMPLES)
 @click.argument("scene")
-@click.option("--pixel", type=Place(), required=True, metavar="X,Y", help="Column and row, 0,0 top left.")
-@click.option("--sample", type=Number(0, 1 << 32), metavar="K", help="This sample of the pixel only.  [default: all]")
+@click.option("--pixel", type=PixelType(), required=True, metavar="X,Y", help="Column and row, 0,0 top left.")
+@click.option("--sample", type=NumberType(0, 1 << 32), metavar="K", help="This sample of the pixel only.  [default: all]")
 @_frame_options
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 @outside_option
@@ -93,16 +93,16 @@ def trace(
 
     SCENE is a file of one of these kinds: .nff .obj .ply .stl .glb .gltf .toml
     """
-    from raygrid.host.cli.commands.trace import Request, run_trace
+    from raygrid.host.cli.commands.trace import TraceRequest, run_trace
 
-    run_trace(Request(scene, shape, pixel, sample, as_json, frame, settings))
+    run_trace(TraceRequest(scene, shape, pixel, sample, as_json, frame, settings))
 
 
 @click.command(epilog=JAM_EXAMPLES)
 @click.argument("scene")
-@click.option("--room", type=Number(1, 1 << 20), default=64, show_default=True, metavar="PACKETS",
+@click.option("--room", type=NumberType(1, 1 << 20), default=64, show_default=True, metavar="PACKETS",
               help="What the buffer of a link holds, each way.")
-@click.option("--budget", type=Number(1, (1 << 32) - 1), metavar="RAYS",
+@click.option("--budget", type=NumberType(1, (1 << 32) - 1), metavar="RAYS",
               help="Primary rays alive at once, with admission.  [default: as many as can surely not jam, 1 at least]")
 @_frame_options
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
@@ -116,25 +116,25 @@ def jam(
     An experiment in one process, by the ray step of the machine itself; the default size is 64x64.
     SCENE is a file of one of these kinds: .nff .obj .ply .stl .glb .gltf .toml
     """
-    from raygrid.host.cli.commands.jam import Request, run_jam
+    from raygrid.host.cli.commands.jam import JamRequest, run_jam
 
-    run_jam(Request(scene, shape, room, budget, as_json, frame, settings))
+    run_jam(JamRequest(scene, shape, room, budget, as_json, frame, settings))
 
 
 @click.command(epilog=PROBE_EXAMPLES)
-@click.option("--name", type=ArrayName(), metavar="NAME", help="Of the array that is up.  [default: default]")
+@click.option("--name", type=ArrayNameType(), metavar="NAME", help="Of the array that is up.  [default: default]")
 @click.option("--replay", type=FileName(), metavar="FILE", help="Show a recording instead of an array.")
-@click.option("--speed", type=Number(0.001, 1e9), metavar="X",
+@click.option("--speed", type=NumberType(0.001, 1e9), metavar="X",
               help="Play the recording X times as fast as it was.  [default: 1 on a terminal, unless files are written]")
 @click.option("--worst", is_flag=True, help="Show the recording's worst moment: when most packets waited in the array.")
 @click.option("--table", is_flag=True, help="At the end, all nodes by the share of a processor that they used.")
-@click.option("--rate", type=Number(0.01, 100.0), default=10.0, show_default=True, metavar="HZ",
+@click.option("--rate", type=NumberType(0.01, 100.0), default=10.0, show_default=True, metavar="HZ",
               help="How often each node tells how it stands.")
-@click.option("--for", "seconds", type=Number(0.0, 1e9), metavar="SECONDS", help="End after this time.  [default: at Ctrl-C]")
+@click.option("--for", "seconds", type=NumberType(0.0, 1e9), metavar="SECONDS", help="End after this time.  [default: at Ctrl-C]")
 @click.option("--json", "as_json", is_flag=True, help="A line of JSON a sample, instead of the table.")
 @path_option("--record", metavar="FILE", help="Keep the samples there, as lines of JSON.")
 @path_option("--chrome-trace", metavar="FILE", help="Write a trace for Perfetto at the end.")
-@click.option("--prometheus", type=Number(0, 65535), metavar="PORT", help="Serve aggregates at http://127.0.0.1:PORT/metrics.")
+@click.option("--prometheus", type=NumberType(0, 65535), metavar="PORT", help="Serve aggregates at http://127.0.0.1:PORT/metrics.")
 def probe(**options: Any) -> None:
     """Show how the nodes of an array stand: a table, and a heat map of each layer.
 
@@ -146,9 +146,9 @@ def probe(**options: Any) -> None:
         raise click.UsageError("--speed or --worst came without --replay, wanted a recording")
     if options["worst"] and (options["table"] or options["speed"] is not None):
         raise click.UsageError("--worst came with --table or --speed, wanted one of them")
-    from raygrid.host.cli.commands.probe import Request, run_probe
+    from raygrid.host.cli.commands.probe import ProbeRequest, run_probe
 
-    request = Request(**options)
+    request = ProbeRequest(**options)
     written = options["record"] or options["chrome_trace"]
     if request.replay is not None and request.speed is None and request.is_drawn and not written:
         request = replace(request, speed=1.0)

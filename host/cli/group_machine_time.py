@@ -7,7 +7,16 @@ from typing import Any
 
 import click
 
-from raygrid.host.cli.types import Edges, FileName, Number, Pair, Shape, debug_option, outside_option, path_option
+from raygrid.host.cli.types import (
+    EdgesType,
+    FileName,
+    NumberType,
+    PairType,
+    ShapeType,
+    debug_option,
+    outside_option,
+    path_option,
+)
 
 SIMULATE_EXAMPLES = """\b
 Examples:
@@ -32,7 +41,7 @@ Writes law.md, law.csv and a plot for each scene. docs/paper.md says what came o
 # fmt: off
 @click.command(epilog=SIMULATE_EXAMPLES)
 @click.argument("scene")
-@click.option("--array", "shape", type=Shape(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
+@click.option("--array", "shape", type=ShapeType(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
               help="Processors on each axis: 50x50x50 and more.")
 @click.option("--cost", default="8086", show_default=True, metavar="MODEL",
               help="What work costs in ticks: 8086, 8086-soft, t800, unit, modern, or a .toml file.")
@@ -40,16 +49,16 @@ Writes law.md, law.csv and a plot for each scene. docs/paper.md says what came o
               help="How a node looks for hits: tests all it holds, or walks its hierarchy.  [default: the cost model's]")
 @click.option("--band/--no-band", default=True, show_default=True,
               help="Low and high costs, too: three frames instead of one.")
-@click.option("--size", type=Pair(), metavar="WxH", help="As for render.")
-@click.option("--samples", type=Number(1, 1 << 32), metavar="N", help="As for render.")
-@click.option("--depth", type=Number(1, 31), metavar="N", help="As for render.")
-@click.option("--min-weight", type=Number(0.0, 1e30), metavar="WEIGHT", help="As for render.")
+@click.option("--size", type=PairType(), metavar="WxH", help="As for render.")
+@click.option("--samples", type=NumberType(1, 1 << 32), metavar="N", help="As for render.")
+@click.option("--depth", type=NumberType(1, 31), metavar="N", help="As for render.")
+@click.option("--min-weight", type=NumberType(0.0, 1e30), metavar="WEIGHT", help="As for render.")
 @click.option("--highlights/--no-highlights", default=None, help="As for render.")
 @click.option("--split", type=click.Choice(["balanced", "uniform"]), default="balanced", show_default=True,
               help="As for render.")
 @click.option("--transfer", type=click.Choice(["srgb", "linear"]), default="srgb", show_default=True,
               help="As for render.")
-@click.option("--frame", type=Number(1, 1_000_000), metavar="N", help="The frame of a shot.  [default: 1]")
+@click.option("--frame", type=NumberType(1, 1_000_000), metavar="N", help="The frame of a shot.  [default: 1]")
 @click.option("-o", "--output", "outputs", multiple=True, type=FileName(), metavar="FILE",
               help="Picture, or .npy of the exact sums: the same bits as from render; may be repeated.")
 @path_option("--stats", metavar="FILE", help="Write what the machine did as JSON.")
@@ -67,26 +76,26 @@ def simulate(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], 
 
     SCENE is a file of one of these kinds: .nff .obj .ply .stl .glb .gltf .toml
     """
-    from raygrid.host.cli.commands.simulate import Request, run_simulate
+    from raygrid.host.cli.commands.simulate import SimulateRequest, run_simulate
 
     names = ("cost", "search", "band", "stats", "table", "plots", "transfer", "quiet", "frame")
     chosen = {name: options.pop(name) for name in names}
-    run_simulate(Request(scene, shape, outputs=outputs, **chosen, settings=options))
+    run_simulate(SimulateRequest(scene, shape, outputs=outputs, **chosen, settings=options))
 
 
 @click.command(epilog=LAW_EXAMPLES)
 @click.argument("scenes", nargs=-1, required=True)
 @click.option("--cost", default="8086", show_default=True, metavar="MODEL", help="As for simulate.")
 @click.option("--search", type=click.Choice(["list", "tree"]), help="As for simulate.")
-@click.option("--square", type=Edges(), default="1,2,3,4,6,8,12,16,24,32", show_default=True, metavar="N,N,...",
+@click.option("--square", type=EdgesType(), default="1,2,3,4,6,8,12,16,24,32", show_default=True, metavar="N,N,...",
               help="Edges of square arrays.")
-@click.option("--cubic", type=Edges(), default="1,2,3,4,6,8,10", show_default=True, metavar="N,N,...",
+@click.option("--cubic", type=EdgesType(), default="1,2,3,4,6,8,10", show_default=True, metavar="N,N,...",
               help="Edges of cubic arrays.")
-@click.option("--size", "pictures", type=Pair(), multiple=True, metavar="WxH",
+@click.option("--size", "pictures", type=PairType(), multiple=True, metavar="WxH",
               help="Pixels, for the number of rays; may be repeated.  [default: 32x32, 64x64, 128x128]")
 @click.option("--axis", type=click.Choice(["x", "y", "z", "view"]), default="view", show_default=True,
               help="The axis that square arrays leave whole; view: the one along which the camera looks.")
-@click.option("--depth", type=Number(1, 31), metavar="N", help="As for render.")
+@click.option("--depth", type=NumberType(1, 31), metavar="N", help="As for render.")
 @click.option("--split", type=click.Choice(["balanced", "uniform"]), default="uniform", show_default=True,
               help="As for render.")
 @path_option("-o", "--output", "folder", default=("law",), show_default="law", metavar="FOLDER",
@@ -100,7 +109,7 @@ def law(scenes: tuple[str, ...], folder: str, **options: Any) -> None:
     Simulates every array with every picture, says how well the law holds, which size is best, and whether a square or
     a cubic array does better with as many processors (needs the extra `law`).
     """
-    from raygrid.host.cli.commands.law import Request, run_law
+    from raygrid.host.cli.commands.law import LawRequest, run_law
 
     pictures = options["pictures"] or ((32, 32), (64, 64), (128, 128))
     along = None if options["axis"] == "view" else "xyz".index(options["axis"])
@@ -108,7 +117,7 @@ def law(scenes: tuple[str, ...], folder: str, **options: Any) -> None:
     edges = {"square": options["square"], "cubic": options["cubic"]}
     command = " ".join(["raygrid", *sys.argv[1:]])
     cost, search, quiet = options["cost"], options["search"], options["quiet"]
-    run_law(Request(scenes, cost, search, edges, pictures, along, folder, quiet, command, settings))
+    run_law(LawRequest(scenes, cost, search, edges, pictures, along, folder, quiet, command, settings))
 # fmt: on
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from raygrid.host.cli.types import AnyType, FileName, Frames, Number, Shape, path_option
+from raygrid.host.cli.types import AnyType, FileName, FramesType, NumberType, ShapeType, path_option
 
 # Options of `render` that a job has, too; the others belong to the array, and so to `up`.
 SETTINGS = ("size", "samples", "depth", "min_weight", "highlights", "split")
@@ -71,7 +71,7 @@ Examples:
 """
 
 
-class ArrayName(AnyType):
+class ArrayNameType(AnyType):
     """The name of an array that stays."""
 
     name = "name"
@@ -90,7 +90,9 @@ class ArrayName(AnyType):
 
 def _name_option(command: Command) -> Command:
     text = "Of the array; several can be up at once."
-    option = click.option("--name", type=ArrayName(), default="default", show_default=True, metavar="NAME", help=text)
+    option = click.option(
+        "--name", type=ArrayNameType(), default="default", show_default=True, metavar="NAME", help=text
+    )
     return option(command)
 
 
@@ -100,17 +102,17 @@ def _json_option(command: Command) -> Command:
 
 # fmt: off
 @click.command(epilog=UP_EXAMPLES)
-@click.option("--array", "shape", type=Shape(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
+@click.option("--array", "shape", type=ShapeType(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
               help="Processors on each axis.")
 @_name_option
-@click.option("--batch", type=Number(1, 8192), default=4096, show_default=True, metavar="PACKETS",
+@click.option("--batch", type=NumberType(1, 8192), default=4096, show_default=True, metavar="PACKETS",
               help="Most packets a message; 1 is the machine of 1983.")
-@click.option("--patience", type=Number(0.1, 1e9), default=30.0, show_default=True, metavar="SECONDS",
+@click.option("--patience", type=NumberType(0.1, 1e9), default=30.0, show_default=True, metavar="SECONDS",
               help="Time without any progress after which the array is taken to hang.")
 @click.option("--allow-programs", is_flag=True, help="Take programs. They run with your rights.")
 @click.option("--allow-outside", is_flag=True,
               help="Let the scenes of all jobs refer to files outside their folders. They are read with your rights.")
-@click.option("--prometheus", type=Number(0, 65535), metavar="PORT",
+@click.option("--prometheus", type=NumberType(0, 65535), metavar="PORT",
               help="Serve figures of jobs, queue, frames and faults at http://127.0.0.1:PORT/metrics; 0: any free port.")
 @_json_option
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors.")
@@ -133,13 +135,13 @@ def list_arrays(as_json: bool) -> None:
 @click.command(epilog=SUBMIT_EXAMPLES)
 @click.argument("scene")
 @_name_option
-@click.option("--frames", type=Frames(), metavar="A-B", help="As for render.")
+@click.option("--frames", type=FramesType(), metavar="A-B", help="As for render.")
 @click.option("-o", "--output", "outputs", multiple=True, type=FileName(), metavar="FILE",
               help="As for render, but for standard output. May be repeated.  "
                    "[default: the scene's name with .png, or with _%04d.png, here]")
 @path_option("--stats", metavar="FILE", help="As for render; %04d as for -o.")
 @click.option("--resume", is_flag=True, help="Skip frames whose files are there, whole, and of just this job.")
-@click.option("--priority", type=Number(-100, 100), default=0, show_default=True, metavar="N",
+@click.option("--priority", type=NumberType(-100, 100), default=0, show_default=True, metavar="N",
               help="Frames of jobs with a higher one go first.")
 @click.option("--detach", is_flag=True, help="Print the number of the job and return at once.")
 @click.option("--json", "as_json", is_flag=True, help="Print a line of JSON for each event.")
@@ -149,17 +151,17 @@ def submit(scene: str, **options: Any) -> None:
 
     SCENE is a file as for render. The service reads it, and writes the outputs, by their absolute paths.
     """
-    from raygrid.host.cli.commands.submit import Order, run_submit
+    from raygrid.host.cli.commands.submit import SubmitRequest, run_submit
     from raygrid.host.image.frames import turntable_of
 
     settings = {name: options.pop(name) for name in SETTINGS}
     turntable = turntable_of(options.pop("turntable"), options.pop("turntable_scene"))
     client = f"session {os.getsid(0)}"
-    run_submit(Order(scene, settings=settings, turntable=turntable, client=client, **options))
+    run_submit(SubmitRequest(scene, settings=settings, turntable=turntable, client=client, **options))
 
 
 @click.command(epilog=WAIT_EXAMPLES)
-@click.argument("job", type=Number(1, 1 << 53))
+@click.argument("job", type=NumberType(1, 1 << 53))
 @_name_option
 @click.option("--json", "as_json", is_flag=True, help="Print a line of JSON for each event.")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors.")
@@ -172,7 +174,7 @@ def wait(job: int, **options: Any) -> None:
 
 @click.command(epilog=JOBS_EXAMPLES)
 @_name_option
-@click.option("--ended", type=Number(0, 10_000), default=10, show_default=True, metavar="N",
+@click.option("--ended", type=NumberType(0, 10_000), default=10, show_default=True, metavar="N",
               help="How many of the jobs that have ended.")
 @_json_option
 def jobs(**options: Any) -> None:
@@ -186,7 +188,7 @@ def jobs(**options: Any) -> None:
 
 
 @click.command(epilog=CANCEL_EXAMPLES)
-@click.argument("numbers", metavar="JOB...", nargs=-1, type=Number(1, 1 << 53))
+@click.argument("numbers", metavar="JOB...", nargs=-1, type=NumberType(1, 1 << 53))
 @click.option("--all", "everything", is_flag=True, help="All jobs.")
 @_name_option
 def cancel(numbers: tuple[int, ...], everything: bool, name: str) -> None:
@@ -201,7 +203,7 @@ def cancel(numbers: tuple[int, ...], everything: bool, name: str) -> None:
 @click.command(epilog=STATUS_EXAMPLES)
 @_name_option
 @click.option("--watch", is_flag=True, help="Say it again and again, until Ctrl-C or the array's end.")
-@click.option("--every", type=Number(0.1, 86_400.0), default=1.0, show_default=True, metavar="SECONDS", help="With --watch.")
+@click.option("--every", type=NumberType(0.1, 86_400.0), default=1.0, show_default=True, metavar="SECONDS", help="With --watch.")
 @_json_option
 def status(**options: Any) -> None:
     """Say how an array is: its nodes, load, queue, frames and faults."""

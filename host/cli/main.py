@@ -22,12 +22,12 @@ import click
 
 from raygrid.host.cli import group_inspect, group_machine_time, group_service
 from raygrid.host.cli.types import (
-    Fault,
+    FaultType,
     FileName,
-    Frames,
-    Number,
-    Pair,
-    Shape,
+    FramesType,
+    NumberType,
+    PairType,
+    ShapeType,
     debug_option,
     outside_option,
     path_option,
@@ -95,30 +95,30 @@ def cli() -> None:
 # fmt: off
 @cli.command(epilog=RENDER_EXAMPLES)
 @click.argument("scene")
-@click.option("--array", "shape", type=Shape(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
+@click.option("--array", "shape", type=ShapeType(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
               help="Processors on each axis.")
-@click.option("--size", type=Pair(), metavar="WxH", help="Pixels.  [default: what the scene asks for, else 512x512]")
-@click.option("--samples", type=Number(1, 1 << 32), metavar="N", help="Samples a pixel.  [default: the scene's, else 1]")
-@click.option("--depth", type=Number(1, 31), metavar="N",
+@click.option("--size", type=PairType(), metavar="WxH", help="Pixels.  [default: what the scene asks for, else 512x512]")
+@click.option("--samples", type=NumberType(1, 1 << 32), metavar="N", help="Samples a pixel.  [default: the scene's, else 1]")
+@click.option("--depth", type=NumberType(1, 31), metavar="N",
               help="Depth of the last hit that is lit, 1 to 31; the eye's ray has depth 1.  [default: the scene's, else 5]")
-@click.option("--min-weight", type=Number(0.0, 1e30), metavar="WEIGHT",
+@click.option("--min-weight", type=NumberType(0.0, 1e30), metavar="WEIGHT",
               help="Rays fainter than this are not born.  [default: the scene's, else 0]")
 @click.option("--highlights/--no-highlights", default=None, help="Phong highlights.  [default: off for NFF, else on]")
 @click.option("--split", type=click.Choice(["balanced", "uniform"]), default="balanced", show_default=True,
               help="Where the planes between processors lie: so that work is spread, or in equal boxes.")
-@click.option("--batch", type=Number(1, 8192), default=4096, show_default=True, metavar="PACKETS",
+@click.option("--batch", type=NumberType(1, 8192), default=4096, show_default=True, metavar="PACKETS",
               help="Most packets a message; 1 is the machine of 1983.")
-@click.option("--budget", type=Number(1, (1 << 32) - 1), default=1 << 20, show_default=True, metavar="PACKETS",
+@click.option("--budget", type=NumberType(1, (1 << 32) - 1), default=1 << 20, show_default=True, metavar="PACKETS",
               help="Packets in flight below which new primary rays are admitted.")
 @click.option("--transfer", type=click.Choice(["srgb", "linear"]), default="srgb", show_default=True,
               help="From linear radiance to the bytes of a picture.")
 @click.option("-o", "--output", "outputs", multiple=True, type=FileName(), metavar="FILE",
               help="Picture (.png .jpg .webp .tif .bmp .ppm), or .npy of the exact sums; - is standard output, a PNG; may be "
                    "repeated.  [default: the scene's name with .png, here]")
-@click.option("--frames", type=Frames(), metavar="A-B",
+@click.option("--frames", type=FramesType(), metavar="A-B",
               help="Render these frames of a shot; FILE then has a number such as %04d in its name, or is .gif .webp .mp4.")
-@click.option("--turntable", type=Number(1, 1_000_000), metavar="N", help="The camera goes once round the scene in N frames.")
-@click.option("--turntable-scene", type=Number(1, 1_000_000), metavar="N",
+@click.option("--turntable", type=NumberType(1, 1_000_000), metavar="N", help="The camera goes once round the scene in N frames.")
+@click.option("--turntable-scene", type=NumberType(1, 1_000_000), metavar="N",
               help="The scene turns once in N frames, under lights that stay.")
 @click.option("--resume", is_flag=True,
               help="Skip frames whose files are there, whole, and of just this shot: a .png says so itself, others are "
@@ -131,19 +131,19 @@ def cli() -> None:
               help="Keep how every node stood, line by line, as JSON. For a single frame.")
 @path_option("--chrome-trace", metavar="FILE",
               help="Write the same as a trace for Perfetto. For a single frame.")
-@click.option("--probe-rate", type=Number(0.01, 100.0), default=10.0, show_default=True, metavar="HZ",
+@click.option("--probe-rate", type=NumberType(0.01, 100.0), default=10.0, show_default=True, metavar="HZ",
               help="How often a node tells how it stands, if anybody asks.")
 @click.option("--profile", is_flag=True,
               help="Say where each processor's time went: receive, birth, decode, walk, hit, shade, send, other, wait. "
                    "For a single frame.")
-@click.option("--patience", type=Number(0.1, 1e9), default=30.0, show_default=True, metavar="SECONDS",
+@click.option("--patience", type=NumberType(0.1, 1e9), default=30.0, show_default=True, metavar="SECONDS",
               help="Time without any progress after which the array is taken to hang.")
 @click.option("--timed", is_flag=True, help="Keep machine time, too: ticks in --stats. Slow; see docs/machine-time.md.")
 @click.option("--cost", metavar="MODEL", help="With --timed, what work costs; as for simulate.  [default: 8086]")
 @click.option("--search", type=click.Choice(["list", "tree"]), help="With --timed; as for simulate.")
-@click.option("--attempts", type=Number(1, 1000), default=4, show_default=True, metavar="N",
+@click.option("--attempts", type=NumberType(1, 1000), default=4, show_default=True, metavar="N",
               help="How often to try when processors are lost or links break; the picture is the same.")
-@click.option("--fault", type=Fault(), metavar="KIND[:RATE[:SEED]]",
+@click.option("--fault", type=FaultType(), metavar="KIND[:RATE[:SEED]]",
               help="For experiments: links between neighbours drop, double, reorder, delay, corrupt or truncate this part "
                    "of their messages; --patience is then 3 at most.  [default rate: 0.0001]")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors. (Without a terminal there is hardly any.)")
@@ -154,7 +154,7 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
 
     SCENE is a file of one of these kinds: .nff .obj .ply .stl .glb .gltf .toml
     """
-    from raygrid.host.cli.commands.render import Request, run_render
+    from raygrid.host.cli.commands.render import RenderRequest, run_render
     from raygrid.host.image.frames import default_outputs, turntable_of, wants_shot
 
     of_machine = ("batch", "budget", "transfer", "stats", "patience", "attempts", "fault", "quiet", "profile")
@@ -172,7 +172,7 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
     if several and (machine["profile"] or machine["probe_record"] or machine["chrome_trace"]):
         raise click.UsageError("--profile, --probe-record or --chrome-trace came with several frames, wanted a single one")
     outputs = outputs or default_outputs(scene, several)
-    request = Request(scene, shape, outputs, **machine, settings=options, turntable=turntable)
+    request = RenderRequest(scene, shape, outputs, **machine, settings=options, turntable=turntable)
     if request.resume and not several:
         raise click.UsageError("--resume came without frames, wanted --frames, --turntable, or a number such as %04d in a name")
     run_render(request)
@@ -180,7 +180,7 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
 
 @cli.command(epilog=LOAD_EXAMPLES)
 @click.argument("program", type=FileName())
-@click.option("--array", "shape", type=Shape(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
+@click.option("--array", "shape", type=ShapeType(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
               help="Processors on each axis.")
 @click.option("--allow-programs", is_flag=True, help="Launch an array that takes programs. They run with your rights.")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors.")
@@ -216,7 +216,7 @@ def info(scene: str, as_json: bool) -> None:
 
 @cli.command(epilog=EXPORT_EXAMPLES)
 @click.argument("scene")
-@click.option("--depth", type=Number(1, 31), metavar="N", help="As for render.  [default: the scene's, else 5]")
+@click.option("--depth", type=NumberType(1, 31), metavar="N", help="As for render.  [default: the scene's, else 5]")
 @click.option("--highlights/--no-highlights", default=None, help="As for render.  [default: off for NFF, else on]")
 @path_option(
     "-o",
@@ -224,7 +224,7 @@ def info(scene: str, as_json: bool) -> None:
     metavar="FILE",
     help="File to write.  [default: the scene's name with .pov, here]",
 )
-@click.option("--frame", type=Number(1, 1_000_000), metavar="N", help="The frame of a shot.  [default: 1]")
+@click.option("--frame", type=NumberType(1, 1_000_000), metavar="N", help="The frame of a shot.  [default: 1]")
 @outside_option
 @debug_option
 def export(scene: str, depth: int | None, highlights: bool | None, output: str | None, frame: int | None) -> None:
@@ -280,7 +280,7 @@ def _short(value: Any) -> str:
 # --- errors, signals, exit codes -----------------------------------------------------------------
 
 
-class Ended(BaseException):
+class EndedBySignal(BaseException):
     """A signal asked the program to end."""
 
     def __init__(self, number: int) -> None:
@@ -289,7 +289,7 @@ class Ended(BaseException):
 
 
 def _end(number: int, _frame: Any) -> None:
-    raise Ended(number)
+    raise EndedBySignal(number)
 
 
 @contextlib.contextmanager
@@ -322,7 +322,7 @@ def _run(arguments: list[str]) -> int:
         context = getattr(error, "ctx", None)
         command = "raygrid" if context is None else context.command_path
         return _say_misuse(command, _misused(error))
-    except Ended as error:
+    except EndedBySignal as error:
         name = signal.Signals(error.number).name
         _say("raygrid: stopped" if error.number == signal.SIGINT else f"raygrid: ended by {name}")
         return 128 + error.number

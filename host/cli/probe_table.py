@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 
 from raygrid.host.cli.probe_view import short
-from raygrid.host.probes.sums import Index, NodeState
+from raygrid.host.probes.sums import Index, NodeFigures
 
 
 @dataclass
@@ -33,7 +33,7 @@ class Shares:
         self._shares: dict[Index, Share] = {}
         self._times: dict[Index, float] = {}
 
-    def take(self, state: NodeState) -> None:
+    def take(self, state: NodeFigures) -> None:
         """Take a state in, as `Gauges` makes it of a sample and the one before it."""
         sample = state.sample
         share = self._shares.setdefault(sample.node, Share(sample.node))

@@ -10,7 +10,7 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from raygrid.host.probes.sums import Gauges, NodeState
+from raygrid.host.probes.sums import Gauges, NodeFigures
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -103,7 +103,7 @@ def _columns(width: int) -> list[str]:
     return [name for name, _, _ in kept]
 
 
-def _row(state: NodeState) -> dict[str, str]:
+def _row(state: NodeFigures) -> dict[str, str]:
     sample = state.sample
     return {
         "node": ",".join(map(str, sample.node)),

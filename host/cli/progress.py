@@ -18,12 +18,12 @@ from raygrid.host.text.clean_text import printable
 
 if TYPE_CHECKING:
     from raygrid.emulator.driver import Progress
-    from raygrid.host.render.retry import Fault
+    from raygrid.host.render.retry import FaultReport
 
 PHASES = {"load": "loading surfaces", "trace": "tracing", "collect": "collecting pixels"}
 
 
-class Talk:
+class ProgressReporter:
     """Progress on standard error. Use as a context manager, so that the terminal is left as it was.
 
     quiet  say nothing at all
@@ -41,7 +41,7 @@ class Talk:
         self._before = (0, 0)  # frames that are done, and how many of them were there already
         self._shot_begun, self._number = 0.0, 0
 
-    def __enter__(self) -> Talk:
+    def __enter__(self) -> ProgressReporter:
         if self._live:
             self._bar = _new_bar()
             self._task = self._bar.add_task("", total=None, detail="")
@@ -79,7 +79,7 @@ class Talk:
         """A line on the scene or the picture that stays, terminal or not."""
         self._print(f"note: {text}")
 
-    def fault(self, fault: Fault) -> None:
+    def fault(self, fault: FaultReport) -> None:
         """Told by `render_steadily` of what went wrong and was made good."""
         self.remark(f"{fault.what}; the array was reset in {fault.seconds[1]:.2f} s, and the frame begins anew")
 

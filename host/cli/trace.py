@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from raygrid.emulator.analysis import Provenance, Ray, Sample
+from raygrid.emulator.analysis import Provenance, Ray, SampleTree
 from raygrid.host.render.job import Job
 from raygrid.host.scene.scene import light_kind
 from raygrid.host.text.misuse import SceneMisuse
@@ -60,7 +60,7 @@ class _Trees:
         self._kinds: dict[int, AnyKind] = {}
         self._surfaces = job.surfaces
 
-    def sample(self, sample: Sample) -> dict[str, Any]:
+    def sample(self, sample: SampleTree) -> dict[str, Any]:
         ray = None if sample.ray is None else self._ray(sample.ray)
         return {"sample": sample.number, "units": list(sample.units), "ray": ray}
 

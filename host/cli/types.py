@@ -18,7 +18,7 @@ MOST_SIDE, MOST_PIXELS = 65536, 1 << 28  # those of `raygrid.host.render.job`, w
 SIZES = f"wanted sides of 1 to {MOST_SIDE} and at most {MOST_PIXELS:,} pixels"
 
 
-class Pair(AnyType):
+class PairType(AnyType):
     """Two whole numbers, `512x384`."""
 
     name = "pair"
@@ -48,7 +48,7 @@ class FileName(AnyType):
         return str(value)
 
 
-class Shape(AnyType):
+class ShapeType(AnyType):
     """An array, `2x2x2`."""
 
     name = "shape"
@@ -65,7 +65,7 @@ class Shape(AnyType):
             self.fail(str(error), param, ctx)
 
 
-class Edges(AnyType):
+class EdgesType(AnyType):
     """Edges of arrays, `1,2,4,8`."""
 
     name = "edges"
@@ -80,7 +80,7 @@ class Edges(AnyType):
         return tuple(sorted({int(word) for word in words}))
 
 
-class Frames(AnyType):
+class FramesType(AnyType):
     """Frames of a shot, `1-48` or `7`: the first and the last."""
 
     name = "frames"
@@ -97,7 +97,7 @@ class Frames(AnyType):
             self.fail(f"{shorten(value)} came, {error}", param, ctx)
 
 
-class Fault(AnyType):
+class FaultType(AnyType):
     """A fault for experiments, `drop:0.001:7`."""
 
     name = "fault"
@@ -112,7 +112,7 @@ class Fault(AnyType):
             self.fail(str(error), param, ctx)
 
 
-class Number(AnyType):
+class NumberType(AnyType):
     """A number from `least` to `most`; whole if `least` is."""
 
     name = "number"

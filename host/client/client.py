@@ -20,7 +20,7 @@ from typing import Any, Self
 
 from raygrid.host.client.connection import ANSWER_SECONDS, ENDED, Connection
 from raygrid.host.client.protocol import Message, shown
-from raygrid.host.client.service_files import DEFAULT_NAME, Record, find
+from raygrid.host.client.service_files import DEFAULT_NAME, ServiceRecord, find
 from raygrid.host.image.frames import absolute as absolute_pattern
 from raygrid.host.image.frames import check_job, is_played, path_of
 from raygrid.node.errors import ArrayError
@@ -215,7 +215,7 @@ def connect(name: str = DEFAULT_NAME, timeout: float = ANSWER_SECONDS) -> Servic
     return Service(name, timeout)
 
 
-def wait_gone(record: Record, timeout: float | None = None) -> bool:
+def wait_gone(record: ServiceRecord, timeout: float | None = None) -> bool:
     """Wait until the process of a service has ended; whether it has within `timeout` seconds."""
     deadline = None if timeout is None else time.monotonic() + timeout
     try:

@@ -22,7 +22,7 @@ from typing import TypeVar
 
 from raygrid.emulator.topology import LONGEST_PATH, STATES, process_state
 from raygrid.host.client.protocol import VERSION, Message, Splitter, pack, unsendable
-from raygrid.host.client.service_files import SOCKET, TOKEN, Record, check_private, read_private
+from raygrid.host.client.service_files import SOCKET, TOKEN, ServiceRecord, check_private, read_private
 from raygrid.node.errors import ArrayError, ProtocolError
 
 ANSWER_SECONDS = 20.0  # a service that lives answers at once
@@ -38,13 +38,13 @@ T = TypeVar("T")
 class _Slot:
     """An answer that is to come. `abandoned`: nobody waits for it any more."""
 
-    def __init__(self, listener: Listener | None) -> None:
+    def __init__(self, listener: EventListener | None) -> None:
         self.listener = listener
         self.answer: Message | None = None
         self.abandoned = False
 
 
-class Listener:
+class EventListener:
     """Hears the events of a job, or samples of probes. For use by one thread, and to be closed by it.
 
     job  its number; None: samples
@@ -82,7 +82,7 @@ class Listener:
         """Hear no more."""
         self._connection.forget(self)
 
-    def __enter__(self) -> Listener:
+    def __enter__(self) -> EventListener:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -92,7 +92,7 @@ class Listener:
 class Connection:
     """One connection to a service: requests, answers and events. Any thread may use it at any time."""
 
-    def __init__(self, record: Record, timeout: float = ANSWER_SECONDS) -> None:
+    def __init__(self, record: ServiceRecord, timeout: float = ANSWER_SECONDS) -> None:
         """Connect and be let in. Raises ArrayError if there is no service, or if it does not answer."""
         self.record, self._timeout = record, timeout
         self._splitter = Splitter()
@@ -100,7 +100,7 @@ class Connection:
         self._sending = threading.Lock()
         self._reading = self._closed = False
         self._slots: deque[_Slot] = deque()
-        self._listeners: list[Listener] = []
+        self._listeners: list[EventListener] = []
         self._broken = ""  # why nothing more can be said and heard
         self._parting = ""  # what the service said before it closed the connection
         deadline = time.monotonic() + timeout
@@ -123,7 +123,7 @@ class Connection:
 
     # --- asking ---------------------------------------------------------------------------------------
 
-    def ask(self, request: Message, timeout: float | None = None, listener: Listener | None = None) -> Message:
+    def ask(self, request: Message, timeout: float | None = None, listener: EventListener | None = None) -> Message:
         """Send a request and wait for its answer.
 
         listener  of no job yet: hears of the job that the answer names, from that on
@@ -134,19 +134,19 @@ class Connection:
             raise ArrayError(str(answer["error"]))
         return answer
 
-    def listen(self, job: int | None) -> Listener:
+    def listen(self, job: int | None) -> EventListener:
         """A listener, which hears what comes from now on."""
-        listener = Listener(self, job)
+        listener = EventListener(self, job)
         with self._changed:
             self._listeners.append(listener)
         return listener
 
-    def forget(self, listener: Listener) -> None:
+    def forget(self, listener: EventListener) -> None:
         """Tell a listener nothing more."""
         with self._changed, contextlib.suppress(ValueError):
             self._listeners.remove(listener)
 
-    def _exchange(self, request: Message, seconds: float, listener: Listener | None = None) -> Message:
+    def _exchange(self, request: Message, seconds: float, listener: EventListener | None = None) -> Message:
         slot = _Slot(listener)
         self._send(_packed(request), slot, seconds)
         try:
@@ -301,11 +301,11 @@ class Connection:
                 self._socket.close()
 
 
-def _token(record: Record) -> str:
+def _token(record: ServiceRecord) -> str:
     return read_private(Path(record.directory, TOKEN))
 
 
-def _reach(record: Record, deadline: float, timeout: float) -> socket.socket:
+def _reach(record: ServiceRecord, deadline: float, timeout: float) -> socket.socket:
     """A socket at the door of a service. Raises ArrayError.
 
     A service that is busy, or stopped for a moment, lets a few wait at its door and turns the others away (EAGAIN): who
@@ -339,7 +339,7 @@ def _reach(record: Record, deadline: float, timeout: float) -> socket.socket:
         wait = min(2.0 * wait, LONGEST_WAIT)
 
 
-def _silent(record: Record, seconds: float) -> ArrayError:
+def _silent(record: ServiceRecord, seconds: float) -> ArrayError:
     """Nothing is said of what to do about it: the reasons are many, and to end an array costs others their frames."""
     letter = process_state(record.pid)
     state = f", {STATES[letter]}" if letter in ("T", "t", "D") else ""
@@ -367,4 +367,4 @@ def _packed(request: Message) -> bytes:
         raise ArrayError(str(error)) from None
 
 
-__all__ = ["ANSWER_SECONDS", "ENDED", "QUIET_SECONDS", "Connection", "Listener"]
+__all__ = ["ANSWER_SECONDS", "ENDED", "QUIET_SECONDS", "Connection", "EventListener"]

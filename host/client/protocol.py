@@ -17,7 +17,7 @@ from typing import Any
 import msgpack
 
 from raygrid.node.errors import ProtocolError
-from raygrid.node.protocol import Limits, read_map
+from raygrid.node.protocol import MapLimits, read_map
 
 Message = dict[str, Any]
 
@@ -27,7 +27,7 @@ LONGEST = 1 << 23  # bytes of a message
 LONGEST_GREETING = 1 << 10  # of the first message of a client, before it is known
 MOST_ITEMS = 1 << 17  # of a list or map
 DEEPEST = 6  # lists and maps within each other
-LIMITS = Limits(MOST_ITEMS, DEEPEST, most_bytes=0)
+LIMITS = MapLimits(MOST_ITEMS, DEEPEST, most_bytes=0)
 PLAIN = (str, int, float, bool, type(None))
 SHOWN = 60  # characters of a value that is named in an error
 

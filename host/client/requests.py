@@ -119,7 +119,7 @@ class TurntableOf(Strictly):
     scene: bool = False
 
 
-class Submit(Strictly):
+class SubmitMessage(Strictly):
     """A job: frames of a scene.
 
     frames   first and last, or None: one frame, whose files are named as they are
@@ -160,21 +160,21 @@ class Submit(Strictly):
         return self
 
 
-class Follow(Strictly):
+class FollowMessage(Strictly):
     """Tell of a job until it has ended."""
 
     do: Literal["follow"]
     job: Number
 
 
-class Cancel(Strictly):
+class CancelMessage(Strictly):
     """Cancel jobs; None: all."""
 
     do: Literal["cancel"]
     jobs: Annotated[list[Number], Field(max_length=MOST_JOBS)] | None
 
 
-class Jobs(Strictly):
+class JobsMessage(Strictly):
     """List jobs: those that have not ended, and the last `ended` of those that have. `after`: only higher numbers."""
 
     do: Literal["jobs"]
@@ -182,26 +182,26 @@ class Jobs(Strictly):
     after: Annotated[int, Field(ge=0, le=(1 << 53))] = 0
 
 
-class Status(Strictly):
+class StatusMessage(Strictly):
     """Say how the array is."""
 
     do: Literal["status"]
 
 
-class Probe(Strictly):
+class ProbeMessage(Strictly):
     """Tell how the nodes stand, `rate` times a second each, until the client leaves or asks for 0."""
 
     do: Literal["probe"]
     rate: Annotated[float, Field(ge=0.0, le=FASTEST)]
 
 
-class Reset(Strictly):
+class ResetMessage(Strictly):
     """Empty the array and begin the running frame again."""
 
     do: Literal["reset"]
 
 
-class Down(Strictly):
+class DownMessage(Strictly):
     """End. `finish`: when all jobs have ended; `cancel`: cancel them first, or they go on at the next launch."""
 
     do: Literal["down"]
@@ -209,7 +209,16 @@ class Down(Strictly):
     cancel: bool = False
 
 
-Request = Submit | Follow | Cancel | Jobs | Status | Probe | Reset | Down
+Request = (
+    SubmitMessage
+    | FollowMessage
+    | CancelMessage
+    | JobsMessage
+    | StatusMessage
+    | ProbeMessage
+    | ResetMessage
+    | DownMessage
+)
 _REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
 
 
@@ -221,10 +230,10 @@ def read_request(message: Message) -> Request:
         raise ProtocolError(_told(error, message)) from None
 
 
-def read_job(message: Message) -> Submit:
+def read_job(message: Message) -> SubmitMessage:
     """A job out of the journal. Raises ProtocolError."""
     try:
-        return Submit.model_validate(message)
+        return SubmitMessage.model_validate(message)
     except ValidationError as error:
         raise ProtocolError(f"a job of the journal is none: {_told(error, message)}") from None
 

@@ -39,7 +39,7 @@ class LockTaken(ArrayError):
 
 
 @dataclass(frozen=True)
-class Record:
+class ServiceRecord:
     """Where a service is.
 
     name        of the array
@@ -188,7 +188,7 @@ class Home:
             with contextlib.suppress(OSError):
                 self._open_log()
 
-    def keep_record(self, record: Record) -> None:
+    def keep_record(self, record: ServiceRecord) -> None:
         """See to it that it can be found where the service is. Raises OSError."""
         try:
             found = read_record(self.directory)
@@ -197,7 +197,7 @@ class Home:
         if found != record:
             write_record(self.directory, record)
 
-    def forget(self, record: Record | None) -> None:
+    def forget(self, record: ServiceRecord | None) -> None:
         """Remove the record, unless it is another service's. Never raises OSError."""
         with contextlib.suppress(OSError, ArrayError):
             if record is None or read_record(self.directory) == record:
@@ -249,12 +249,12 @@ def read_private(path: Path) -> str:
         raise ArrayError(f"{path}: the file cannot be read ({error})") from None
 
 
-def write_record(directory: Path, record: Record) -> None:
+def write_record(directory: Path, record: ServiceRecord) -> None:
     """Say where the service is. Raises OSError."""
     write_private(directory / RECORD, json.dumps(record.__dict__) + "\n")
 
 
-def read_record(directory: Path) -> Record | None:
+def read_record(directory: Path) -> ServiceRecord | None:
     """Where the service is, or was when it was last heard of; None if there is no word of it.
 
     Raises ArrayError if the file is not ours.
@@ -264,7 +264,7 @@ def read_record(directory: Path) -> Record | None:
     try:
         facts: dict[str, Any] = json.loads(read_private(directory / RECORD))
         nx, ny, nz = map(int, facts["shape"])
-        return Record(
+        return ServiceRecord(
             str(facts["name"]),
             int(facts["pid"]),
             str(facts["mark"]),
@@ -276,7 +276,7 @@ def read_record(directory: Path) -> Record | None:
         return None  # torn by a full disk: as good as none
 
 
-def find(name: str) -> Record:
+def find(name: str) -> ServiceRecord:
     """Where the running service of that name is. Raises ArrayError if there is none, naming those that run."""
     directory = state_directory(name)
     record = read_record(directory) if directory.is_dir() else None
@@ -291,7 +291,7 @@ def find(name: str) -> Record:
     raise ArrayError(f"no array named {name!r} runs: raygrid up --name {name} launches one{which}")
 
 
-def running() -> list[Record]:
+def running() -> list[ServiceRecord]:
     """All services of this user that run, by name."""
     found = []
     with contextlib.suppress(OSError, ArrayError):

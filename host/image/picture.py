@@ -90,7 +90,7 @@ class Picture:
         file.write(sums.data)
 
 
-class Ahead:
+class Encoder:
     """Encodes a picture for some files in a thread of its own, while the caller waits for something else; `save` then
     writes it. What is large, or goes wrong, is left to `Picture.save`, and so are its errors."""
 

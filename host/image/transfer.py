@@ -30,7 +30,7 @@ def byte_of(sums: Sums, samples: int, transfer: str) -> NDArray[np.uint8]:
     return np.floor(values * 255.0 + 0.5).astype(np.uint8)
 
 
-class Table(NamedTuple):
+class TransferTable(NamedTuple):
     """Bytes of ranges of sums.
 
     top    sums from here on have the last byte
@@ -45,7 +45,7 @@ class Table(NamedTuple):
     more: Sums
 
 
-def make_table(samples: int, transfer: str) -> Table:
+def make_table(samples: int, transfer: str) -> TransferTable:
     """The table of a number of samples."""
     top, shift = int(UNIT) * samples, FINE + samples.bit_length() - 1
     bytes_above = np.arange(1, 256)
@@ -55,7 +55,7 @@ def make_table(samples: int, transfer: str) -> Table:
         reached = byte_of(middle, samples, transfer) >= bytes_above
         below, least = np.where(reached, below, middle), np.where(reached, middle, least)
     first = np.searchsorted(least, np.arange((top >> shift) + 1) << shift, "right")
-    return Table(top, shift, first.astype(np.uint8), np.append(least, NEVER)[first])
+    return TransferTable(top, shift, first.astype(np.uint8), np.append(least, NEVER)[first])
 
 
 def to_bytes(sums: Sums, samples: int, transfer: str) -> NDArray[np.uint8]:

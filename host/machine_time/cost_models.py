@@ -73,13 +73,13 @@ Cost = Annotated[tuple[Ticks, Ticks, Ticks], BeforeValidator(_tripled), AfterVal
 SomeCost = Annotated[tuple[SomeTicks, SomeTicks, SomeTicks], BeforeValidator(_tripled), AfterValidator(_ascending)]
 
 
-class Table(BaseModel):
+class CostTable(BaseModel):
     """A table of a cost model: no keys but its own."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
 
-class LinkTable(Table):
+class LinkTable(CostTable):
     """[link]"""
 
     bytes_per_second: Annotated[Whole, Field(ge=1, le=10**15)]
@@ -87,7 +87,7 @@ class LinkTable(Table):
     moves: Literal["processor", "link"]
 
 
-class TestTable(Table):
+class TestTable(CostTable):
     """[ticks.test]"""
 
     triangle: Cost
@@ -98,7 +98,7 @@ class TestTable(Table):
     cone: Cost
 
 
-class TicksTable(Table):
+class TicksTable(CostTable):
     """[ticks]"""
 
     packet: SomeCost
@@ -117,7 +117,7 @@ class TicksTable(Table):
     test: TestTable
 
 
-class CostFile(Table):
+class CostFile(CostTable):
     """The whole file."""
 
     about: Annotated[str, Strict(), Field(min_length=1)]
@@ -127,7 +127,7 @@ class CostFile(Table):
     ticks: TicksTable
 
 
-_TABLES: dict[Key, type[Table]] = {
+_TABLES: dict[Key, type[CostTable]] = {
     (): CostFile,
     ("link",): LinkTable,
     ("ticks",): TicksTable,
@@ -235,5 +235,5 @@ def _sentence(path: Path, text: str, fault: Any) -> str:
     return f"{where}: {name} is {shown(fault['input'])}, wanted {wanted}"
 
 
-def _keys(model: type[Table]) -> Sequence[str]:
+def _keys(model: type[CostTable]) -> Sequence[str]:
     return [str(field.alias or name) for name, field in model.model_fields.items()]

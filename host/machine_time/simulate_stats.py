@@ -17,7 +17,7 @@ from raygrid.host.machine_time.cost_models import LEVELS
 from raygrid.host.machine_time.simulate import Simulated
 from raygrid.node.geometry import PORTS, SURFACE_KINDS, Kind
 from raygrid.node.protocol import BORN, BOXES, DIED, HITS, SENT, TESTS, WALKS, PacketKind
-from raygrid.node.timed import BUSY, ENDED, MOST_WAITING, PACKETS_SENT, SERVED, WAITED, WALKED
+from raygrid.node.timed import BUSY, ENDED, MOST_WAITING, PACKETS_SENT, PACKETS_SERVED, WAITED, WALKED
 from raygrid.node.tracing import UNIT
 
 VERSION = 1
@@ -60,7 +60,7 @@ def make_stats(done: Simulated) -> dict[str, Any]:
         "queue": {
             "most": int(phase.column(MOST_WAITING).max()),
             "mean": float(phase.column(WAITED).sum() / max(phase.ticks, 1) / len(phase.nodes)),
-            "mean_wait_ticks": float(phase.column(WAITED).sum() / max(int(phase.column(SERVED).sum()), 1)),
+            "mean_wait_ticks": float(phase.column(WAITED).sum() / max(int(phase.column(PACKETS_SERVED).sum()), 1)),
         },
         "busiest": _busiest(done),
         "balance": float(phase.column(BUSY).max() / max(phase.column(BUSY).mean(), 1e-9)),
@@ -177,7 +177,7 @@ def records(done: Simulated) -> Any:
             **dict(zip("xyz", index, strict=True)),
             "surfaces": int(done.model.held[node].sum()),
             "samples": int(done.model.borders[node + 1] - done.model.borders[node]),
-            "served": int(row[SERVED]),
+            "served": int(row[PACKETS_SERVED]),
             "walks": int(row[WALKED]),
             "busy_ticks": int(row[BUSY]),
             "waited_ticks": int(row[WAITED]),

@@ -10,9 +10,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from raygrid.emulator.driver import PHASES, Sample
+from raygrid.emulator.driver import PHASES, NodeSample
 from raygrid.host.image.outputs import write_whole
-from raygrid.host.probes.sums import Gauges, NodeState
+from raygrid.host.probes.sums import Gauges, NodeFigures
 
 MOST_NODES = 64  # in one trace; more cannot be read
 Index = tuple[int, int, int]
@@ -27,11 +27,11 @@ class ChromeTrace:
         self._pid = {node: number + 1 for number, node in enumerate(nodes) if number % stride == 0}
         self._gauges = Gauges(shape)
         self._events: list[dict[str, Any]] = []
-        self._since: dict[Index, Sample] = {}  # the first sample of the phase that a node is in
-        self._last: dict[Index, Sample] = {}
+        self._since: dict[Index, NodeSample] = {}  # the first sample of the phase that a node is in
+        self._last: dict[Index, NodeSample] = {}
         self._begun: float | None = None
 
-    def take(self, sample: Sample) -> None:
+    def take(self, sample: NodeSample) -> None:
         """Take a sample in."""
         if sample.node not in self._pid:
             return
@@ -67,10 +67,10 @@ class ChromeTrace:
         assert self._begun is not None
         return round(max(0.0, time - self._begun) * 1e6, 1)
 
-    def _phase(self, first: Sample, end: float) -> None:
+    def _phase(self, first: NodeSample, end: float) -> None:
         self._events.append(self._bar(first, end))
 
-    def _bar(self, first: Sample, end: float) -> dict[str, Any]:
+    def _bar(self, first: NodeSample, end: float) -> dict[str, Any]:
         begin = self._at(first.time)
         return {
             "ph": "X",
@@ -83,7 +83,7 @@ class ChromeTrace:
             "args": {"epoch": first.epoch, "surfaces": first.surfaces},
         }
 
-    def _count(self, state: NodeState, last: Sample | None) -> None:
+    def _count(self, state: NodeFigures, last: NodeSample | None) -> None:
         """A counter holds from its time on, so what is known of the time since the last sample is put there."""
         sample = state.sample
         since = self._at(sample.time if last is None else last.time)

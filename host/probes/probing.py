@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from types import TracebackType
 from typing import NamedTuple
 
-from raygrid.emulator.driver import Sample
+from raygrid.emulator.driver import NodeSample
 from raygrid.host.files.input_guard import check_outputs
 from raygrid.host.image.outputs import check_named
 from raygrid.host.probes.chrome_trace import ChromeTrace
-from raygrid.host.probes.record import Record
-from raygrid.host.probes.sums import Gauges, NodeState
+from raygrid.host.probes.record import ProbeRecord
+from raygrid.host.probes.sums import Gauges, NodeFigures
 from raygrid.node.errors import OutputError
 
 Shape = tuple[int, int, int]
@@ -23,7 +23,7 @@ class Feed(NamedTuple):
 
     shape: tuple[int, int, int]
     rate: float
-    samples: Iterator[Sample | None]
+    samples: Iterator[NodeSample | None]
 
 
 class Probing:
@@ -46,10 +46,10 @@ class Probing:
         self._trace_path = chrome_trace
         self._trace = None if chrome_trace is None else ChromeTrace(shape)
         # opened when the first sample comes: by then all is read that must not be written over
-        self._record: Record | None = None
+        self._record: ProbeRecord | None = None
         self._record_of = None if record is None else (record, shape, rate)
 
-    def take(self, sample: Sample) -> NodeState:
+    def take(self, sample: NodeSample) -> NodeFigures:
         """Take a sample in."""
         state = self.gauges.take(sample)
         if self._trouble is None:
@@ -66,7 +66,7 @@ class Probing:
     def _open(self) -> None:
         about, self._record_of = self._record_of, None
         if about is not None:
-            self._record = Record(*about)
+            self._record = ProbeRecord(*about)
 
     def check(self) -> None:
         """Raise OutputError if what has come could not be written."""

@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import IO, Any
 
-from raygrid.emulator.driver import Sample
+from raygrid.emulator.driver import NodeSample
 from raygrid.host.files.input_guard import check_kept, note
 from raygrid.host.image.outputs import check_named, open_now
-from raygrid.host.probes.sums import NodeState, sample_record
+from raygrid.host.probes.sums import NodeFigures, sample_record
 from raygrid.node.errors import OutputError
 
 VERSION = 2  # 1 had another figure of memory
@@ -30,12 +30,12 @@ def header(shape: tuple[int, int, int], rate: float) -> dict[str, Any]:
     }
 
 
-def record_line(state: NodeState) -> str:
+def record_line(state: NodeFigures) -> str:
     """A sample as a line."""
     return json.dumps({"is": "sample", **sample_record(state)}, separators=(",", ":"))
 
 
-class Record:
+class ProbeRecord:
     """A file to which samples are added as they come, so that it is there, too, if the array fails.
 
     Raises OutputError if it cannot be written; after the first such error nothing more is written.
@@ -51,7 +51,7 @@ class Record:
             raise OutputError(f"{path}: the file cannot be written ({error.strerror})") from None
         self._write(json.dumps(header(shape, rate)))
 
-    def take(self, state: NodeState) -> None:
+    def take(self, state: NodeFigures) -> None:
         """Add a sample."""
         self._write(record_line(state))
 
@@ -86,27 +86,27 @@ class Record:
 
 
 @dataclass(frozen=True)
-class Replay:
+class ProbeReplay:
     """A recording: of an array of this shape, at this rate. `close` it if not all samples are taken."""
 
     shape: tuple[int, int, int]
     rate: float
-    samples: Iterator[Sample]
+    samples: Iterator[NodeSample]
     close: Callable[[], None]
 
 
-def replay(path: str) -> Replay:
-    """A recording that `Record` wrote. Raises OutputError, here and while it is read, for a file that is none."""
+def replay(path: str) -> ProbeReplay:
+    """A recording that `ProbeRecord` wrote. Raises OutputError, here and while it is read, for a file that is none."""
     from pydantic import TypeAdapter, ValidationError
 
-    reader = TypeAdapter(Sample)
+    reader = TypeAdapter(NodeSample)
     note(path, "the same file as the recording")
     try:
         file = open(path, encoding="utf-8")  # noqa: SIM115  (closed by its reader, or below)
     except OSError as error:
         raise OutputError(f"{path}: the recording cannot be read ({error.strerror})") from None
 
-    def samples() -> Iterator[Sample]:
+    def samples() -> Iterator[NodeSample]:
         with file:
             for number, line in enumerate(file, 2):
                 try:
@@ -121,7 +121,7 @@ def replay(path: str) -> Replay:
         nx, ny, nz = head["array"]
         if head["is"] != "array" or head["version"] != VERSION or not all(_is_side(side) for side in (nx, ny, nz)):
             raise ValueError(head)
-        return Replay((nx, ny, nz), float(head["rate"]), samples(), file.close)
+        return ProbeReplay((nx, ny, nz), float(head["rate"]), samples(), file.close)
     except (OSError, ValueError, KeyError, TypeError):
         file.close()
         raise OutputError(f"{path}: the first line is not that of a recording of probes, version {VERSION}") from None

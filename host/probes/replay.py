@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator
 
-from raygrid.emulator.driver import Sample
+from raygrid.emulator.driver import NodeSample
 from raygrid.host.probes.record import replay
 from raygrid.host.probes.sums import Index
 
@@ -13,11 +13,11 @@ NAP_SECONDS = 0.05  # after which the reader is given a turn
 
 
 def paced(
-    samples: Iterable[Sample],
+    samples: Iterable[NodeSample],
     speed: float,
     clock: Callable[[], float] = time.monotonic,
     wait: Callable[[float], None] = time.sleep,
-) -> Iterator[Sample | None]:
+) -> Iterator[NodeSample | None]:
     """The samples, each when its time has come, `speed` times as fast as they were; None now and then between them."""
     begun, first = clock(), None
     for sample in samples:

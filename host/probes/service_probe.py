@@ -7,8 +7,8 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-from raygrid.emulator.driver import Sample
-from raygrid.host.client.connection import Connection, Listener
+from raygrid.emulator.driver import NodeSample
+from raygrid.host.client.connection import Connection, EventListener
 from raygrid.host.client.service_files import find
 from raygrid.host.probes.probing import Feed
 from raygrid.node.errors import ProtocolError
@@ -32,10 +32,10 @@ def subscribe(name: str, rate: float) -> Iterator[Feed]:
         yield Feed((nx, ny, nz), float(answer["rate"]), _samples(connection, listener, request))
 
 
-def _samples(connection: Connection, listener: Listener, request: dict[str, Any]) -> Iterator[Sample | None]:
+def _samples(connection: Connection, listener: EventListener, request: dict[str, Any]) -> Iterator[NodeSample | None]:
     from pydantic import TypeAdapter, ValidationError
 
-    reader = TypeAdapter(Sample)
+    reader = TypeAdapter(NodeSample)
     heard = time.monotonic()
     while True:
         event = listener.next(TURN_SECONDS)

@@ -6,17 +6,17 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from raygrid.emulator.driver import Sample
+from raygrid.emulator.driver import NodeSample
 
 Shape = tuple[int, int, int]
 Index = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
-class NodeState:
+class NodeFigures:
     """A node between its last two samples: part of a processor that it used (0 to 1), packets served a second, by wall time."""
 
-    sample: Sample
+    sample: NodeSample
     busy: float
     rate: float
 
@@ -27,9 +27,9 @@ class Gauges:
     def __init__(self, shape: Shape) -> None:
         self.shape = shape
         self.samples = 0
-        self._states: dict[Index, NodeState] = {}
+        self._states: dict[Index, NodeFigures] = {}
 
-    def take(self, sample: Sample) -> NodeState:
+    def take(self, sample: NodeSample) -> NodeFigures:
         """Take a sample in; what it says of its node together with the one before."""
         self.samples += 1
         last = self._states.get(sample.node)
@@ -38,10 +38,10 @@ class Gauges:
             span, before = sample.time - last.sample.time, last.sample
             busy = min(1.0, max(0.0, (sample.cpu - before.cpu) / span))  # a node that was forked anew begins at 0
             rate = max(0, sample.work - before.work) / span  # a new frame begins at 0
-        state = self._states[sample.node] = NodeState(sample, busy, rate)
+        state = self._states[sample.node] = NodeFigures(sample, busy, rate)
         return state
 
-    def __iter__(self) -> Iterator[NodeState]:
+    def __iter__(self) -> Iterator[NodeFigures]:
         """The states, x fastest. Another thread may take samples meanwhile."""
         nodes = tuple(self._states)
         yield from (self._states[node] for node in sorted(nodes, key=lambda node: node[::-1]))
@@ -49,7 +49,7 @@ class Gauges:
     def __len__(self) -> int:
         return len(self._states)
 
-    def get(self, node: Index) -> NodeState | None:
+    def get(self, node: Index) -> NodeFigures | None:
         """The state of a node, None before its first sample."""
         return self._states.get(node)
 
@@ -87,7 +87,7 @@ class Gauges:
         return max(sorted(set(phases)), key=phases.count, default="idle")
 
 
-def sample_record(state: NodeState) -> dict[str, Any]:
+def sample_record(state: NodeFigures) -> dict[str, Any]:
     """A sample as a map ready for JSON, with what it says together with the one before it."""
     record = asdict(state.sample)
     record["node"] = list(state.sample.node)

@@ -15,13 +15,13 @@ import numpy as np
 from raygrid.emulator.partition import SPLITS
 from raygrid.emulator.partition.split import split
 from raygrid.host.render.job import Job, Settings, check_program, make_frame, make_job
-from raygrid.host.scene.animation.animation import Shot, moved_point, moving_batches, shot_bounds
+from raygrid.host.scene.animation.animation import Animation, animation_bounds, moved_point, moving_batches
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import SceneError
 from raygrid.node.geometry import (
     F64,
-    SCALE,
-    SHIFT,
+    MOTION_SCALE,
+    MOTION_SHIFT,
     Batch,
     Kind,
     Moves,
@@ -60,7 +60,7 @@ def jobs_of(
     if wrong or not numbers:
         came = f"frame {wrong[0]}" if wrong else "no frame"
         raise SceneError(f"{scene.name}: {came} came, wanted frames 1 to {scene.shot.frames}")
-    jobs = ShotJobs(scene, shape, settings, numbers[len(numbers) // 2], wait)
+    jobs = AnimationJobs(scene, shape, settings, numbers[len(numbers) // 2], wait)
     for number in numbers:
         yield jobs.job(number)
 
@@ -78,7 +78,7 @@ def still_job(scene: Scene, shape: Shape, settings: Settings, frame: int | None 
     return replace(job, surfaces=surfaces, moves=None)
 
 
-class ShotJobs:
+class AnimationJobs:
     """The jobs of one shot, which share world, planes between cells, and surfaces at rest.
 
     middle  the frame from which the planes are chosen
@@ -95,14 +95,14 @@ class ShotJobs:
         settings: Settings,
         middle: int,
         wait: Callable[[], None] | None = None,
-        like: ShotJobs | None = None,
+        like: AnimationJobs | None = None,
     ) -> None:
         check_program(scene, settings.program)
         if settings.split not in SPLITS:
             raise SceneError(f"a split came as {settings.split!r}, wanted one of {', '.join(SPLITS)}")
         assert scene.shot is not None
         self._settings = settings
-        self._shot: _Machine = _Machine(scene, scene.shot) if like is None else like._shot
+        self._shot: _AnimationMachine = _AnimationMachine(scene, scene.shot) if like is None else like._shot
         shot, moves = self._shot, self._shot.moves(middle)
         there = SurfaceSet(tuple(placed(batch, moves) for batch in shot.surfaces))
         frame = make_frame(shot.scene_at(middle), shot.world, settings)
@@ -121,15 +121,15 @@ class ShotJobs:
         return Job(still, shot.world, self._space, shot.surfaces, frame, settings, shot.moves(number), number)
 
 
-class _Machine:
+class _AnimationMachine:
     """A shot in machine coordinates."""
 
-    def __init__(self, scene: Scene, shot: Shot) -> None:
+    def __init__(self, scene: Scene, shot: Animation) -> None:
         if len(scene.surfaces) == 0:
             raise SceneError(f"{scene.name}: the scene has no surfaces")
         self.scene, self.shot = scene, shot
         try:
-            self.world = world_around(shot_bounds(scene))
+            self.world = world_around(animation_bounds(scene))
         except SceneError as error:
             raise SceneError(f"{scene.name}: {error}") from None
         self._rests = _rests(scene, shot, self.world)
@@ -155,8 +155,8 @@ class _Machine:
         motions = self.shot.at(number).motions
         machine = motions.copy()
         for group, rest in self._rests.items():
-            machine[group, SCALE] = motions[group, SCALE] * (self.world.scale / rest.scale)
-            machine[group, SHIFT:] = self.world.points(moved_point(motions[group], rest.centre))
+            machine[group, MOTION_SCALE] = motions[group, MOTION_SCALE] * (self.world.scale / rest.scale)
+            machine[group, MOTION_SHIFT:] = self.world.points(moved_point(motions[group], rest.centre))
         fault = fault_of(machine)
         if fault:
             raise SceneError(f"{self.scene.name}: in frame {number}, in machine coordinates, {fault}")
@@ -168,7 +168,7 @@ class _Machine:
         return replace(self.scene, camera=pose.camera, lights=pose.lights, materials=pose.materials)
 
 
-def _rests(scene: Scene, shot: Shot, world: World) -> dict[int, World]:
+def _rests(scene: Scene, shot: Animation, world: World) -> dict[int, World]:
     """How each group's surfaces at rest become coordinates of their own, by group; groups without surfaces have none."""
     boxes: dict[int, list[F64]] = {}
     for batch, number in moving_batches(scene):

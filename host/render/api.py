@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from raygrid.emulator.driver import BUDGET, PATIENCE, Sample
+from raygrid.emulator.driver import BUDGET, PATIENCE, NodeSample
 from raygrid.emulator.processes import BATCH, Array
 from raygrid.emulator.topology import parse_shape
 from raygrid.host.image.picture import Picture
@@ -18,7 +18,7 @@ from raygrid.host.render.animation_jobs import jobs_of
 from raygrid.host.render.frame import Watch
 from raygrid.host.render.job import Settings, make_job
 from raygrid.host.render.program_file import read_program
-from raygrid.host.render.retry import ATTEMPTS, render_steadily
+from raygrid.host.render.retry import ATTEMPTS, render_with_retries
 from raygrid.host.scene.load import load_scene
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import ArrayError
@@ -85,7 +85,7 @@ class Machine:
             if not isinstance(scene, Scene):
                 scene = load_scene(scene, self._allow_outside)
             job = make_job(scene, self.shape, self._settings(settings))
-            return render_steadily(array, job, budget, watch, attempts=attempts)
+            return render_with_retries(array, job, budget, watch, attempts=attempts)
 
     def render_frames(
         self,
@@ -107,7 +107,7 @@ class Machine:
             scene = load_scene(scene, self._allow_outside)
         for job in jobs_of(scene, self.shape, self._settings(settings), frames):
             with self._use() as array:  # not while the caller has the picture
-                picture = render_steadily(array, job, budget, watch, attempts=attempts)
+                picture = render_with_retries(array, job, budget, watch, attempts=attempts)
             yield picture
 
     def _settings(self, given: dict[str, Any]) -> Settings:
@@ -116,10 +116,10 @@ class Machine:
             raise ArrayError("a program is code that runs with your rights, wanted launch(..., allow_programs=True)")
         return Settings(**given | ({"program": read_program(program)} if isinstance(program, str | Path) else {}))
 
-    def probe(self, rate: float, watch: Callable[[Sample], object] | None) -> None:
+    def probe(self, rate: float, watch: Callable[[NodeSample], object] | None) -> None:
         """Let every node tell `rate` times a second how it stands, while the array renders; 0: no more (docs/probes.md).
 
-        watch  called with each `raygrid.emulator.driver.samples.Sample`
+        watch  called with each `raygrid.emulator.driver.samples.NodeSample`
         Raises ProtocolError for a rate that cannot be.
         """
         with self._use() as array:

@@ -20,7 +20,7 @@ RECOVERABLE = (LostProcess, Stuck, Garbled, ProtocolError)
 
 
 @dataclass(frozen=True)
-class Fault:
+class FaultReport:
     """Something that went wrong in an array and was made good.
 
     kind     name of the error's class: LostProcess, Stuck, Garbled, ProtocolError
@@ -39,20 +39,20 @@ class Fault:
     epoch: int
 
 
-def render_steadily(
+def render_with_retries(
     array: Array,
     job: Job,
     budget: int = BUDGET,
     watch: Watch | None = None,
     loaded: bool = False,
     attempts: int = ATTEMPTS,
-    on_fault: Callable[[Fault], None] | None = None,
+    on_fault: Callable[[FaultReport], None] | None = None,
     prices: dict[str, Any] | None = None,
 ) -> Picture:
     """Render one frame as `render_job` does, on an array that may lose nodes and messages meanwhile.
 
     After a fault the array is reset, the scene loaded anew, and the pass repeated, at most `attempts` times in all. The
-    picture has the same bits as without faults; stats["faults"] is a map for each fault (see `Fault`).
+    picture has the same bits as without faults; stats["faults"] is a map for each fault (see `FaultReport`).
 
     attempts  1 or more
     on_fault  told of each fault when the array is ready again
@@ -61,7 +61,7 @@ def render_steadily(
     """
     if attempts < 1:
         raise ValueError(f"{attempts} attempts came, wanted 1 or more")
-    faults: list[Fault] = []
+    faults: list[FaultReport] = []
     while True:
         begun = time.perf_counter()
         phase = ""
@@ -86,16 +86,16 @@ def render_steadily(
         return picture
 
 
-def _reset(array: Array, error: RaygridError, phase: str, begun: float) -> Fault:
+def _reset(array: Array, error: RaygridError, phase: str, begun: float) -> FaultReport:
     noticed, restarts = time.perf_counter(), array.restarts
     array.reset()
     seconds = (round(noticed - begun, 6), round(time.perf_counter() - noticed, 6))
     others = [lost for lost in array.lost_nodes if lost != str(error)][:MOST_LOST]
     what = f"{error}; besides, {'; '.join(others)}" if others else str(error)
-    return Fault(type(error).__name__, what, phase, seconds, array.restarts - restarts, array.epoch)
+    return FaultReport(type(error).__name__, what, phase, seconds, array.restarts - restarts, array.epoch)
 
 
-def _given_up(error: RaygridError, faults: list[Fault]) -> RaygridError:
+def _given_up(error: RaygridError, faults: list[FaultReport]) -> RaygridError:
     """The last error, with how often it was tried, in one sentence of the same kind."""
     if not faults:
         return error

@@ -21,7 +21,7 @@ from raygrid.host.scene.polygons import (
 )
 from raygrid.node.errors import SceneError
 from raygrid.node.geometry import F64, MAX_MATERIALS, MAX_SURFACES, STRIDE, AnyKind, Batch, Kind, SurfaceSet, merge
-from raygrid.node.protocol import MATERIAL
+from raygrid.node.protocol import MATERIAL_RECORD
 
 Table = NDArray[np.void]
 
@@ -56,8 +56,8 @@ def material(
     transmission: ArrayLike = 0.0,
     ior: float = 1.0,
 ) -> Table:
-    """One row of a material table, MATERIAL (1,). Weights are linear, a number each or three."""
-    row = np.zeros(1, MATERIAL)
+    """One row of a material table, MATERIAL_RECORD (1,). Weights are linear, a number each or three."""
+    row = np.zeros(1, MATERIAL_RECORD)
     row["diffuse"], row["highlight"], row["shine"] = diffuse, highlight, shine
     row["specular"], row["transmission"] = specular, transmission
     # An index that is never used would only keep equal materials apart.
@@ -92,9 +92,9 @@ class SceneBuilder:
         self._crossing = 0  # polygons that could be cut into triangles only by guess
 
     def add_materials(self, rows: Table, baked: bool = False, apart: bool = False) -> int:
-        """Take materials, MATERIAL (m,); returns the number of the first. `baked`: from a texture's colours, so that
+        """Take materials, MATERIAL_RECORD (m,); returns the number of the first. `baked`: from a texture's colours, so that
         they may be rounded if there are too many. `apart`: they change, and are never one with equal ones."""
-        if not all(np.isfinite(rows[name]).all() and (rows[name] >= 0.0).all() for name in MATERIAL.names or ()):
+        if not all(np.isfinite(rows[name]).all() and (rows[name] >= 0.0).all() for name in MATERIAL_RECORD.names or ()):
             raise SceneError(f"{self.where}: a material has a number that is not finite or below 0")
         wild = rows["transmission"].any(axis=1) & ((rows["ior"] < LEAST_IOR) | (rows["ior"] > MOST_IOR))
         if wild.any():
@@ -271,7 +271,10 @@ def _distinct(rows: Table, used: NDArray[np.bool_], apart: Ints) -> tuple[Table,
 
     Rows are equal only if their numbers in `apart` are, too.
     """
-    parts = [np.ascontiguousarray(rows[used]).view((np.uint8, MATERIAL.itemsize)), apart[used].view((np.uint8, 8))]
+    parts = [
+        np.ascontiguousarray(rows[used]).view((np.uint8, MATERIAL_RECORD.itemsize)),
+        apart[used].view((np.uint8, 8)),
+    ]
     joined = np.concatenate([part.reshape(int(used.sum()), -1) for part in parts], axis=1)
     keys = np.ascontiguousarray(joined).view(np.dtype((np.void, joined.shape[1]))).reshape(-1)
     _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from raygrid.node.errors import SceneError
-from raygrid.node.protocol import CAMERA
+from raygrid.node.protocol import CAMERA_RECORD
 
 Vector = tuple[float, float, float]
 
@@ -67,7 +67,7 @@ class Camera:
         return 2.0 * self.half / max(rows - 1, 1)
 
     def table(self, width: int, height: int) -> NDArray[np.void]:
-        """The camera for a picture of width x height pixels, CAMERA (1,). Pixels are square.
+        """The camera for a picture of width x height pixels, CAMERA_RECORD (1,). Pixels are square.
 
         Raises SceneError if the picture has no pixels.
         """
@@ -76,7 +76,7 @@ class Camera:
         eye, forward, right, up = (np.array(v) for v in (self.eye, self.forward, self.right, self.up))
         pitch = self.pitch(width, height)
         corner = pitch * ((height - 1) / 2.0 * up - (width - 1) / 2.0 * right)
-        table = np.zeros(1, CAMERA)
+        table = np.zeros(1, CAMERA_RECORD)
         origin, ray = ("base", "eye") if self.orthographic else ("eye", "base")
         table[origin] = forward if self.orthographic else eye
         table[ray] = (eye if self.orthographic else forward) + corner

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from raygrid.host.scene.cameras import Camera
 from raygrid.node.errors import SceneError
 from raygrid.node.geometry import F64
-from raygrid.node.protocol import DIRECTIONAL, LIGHT, POINT
+from raygrid.node.protocol import DIRECTIONAL, LIGHT_RECORD, POINT
 
 Table = NDArray[np.void]
 
@@ -24,8 +24,8 @@ INVENTED_BACKGROUND = (0.18, 0.20, 0.24)  # a mirror or a glass ball before plai
 
 
 def point_light(position: ArrayLike, intensity: ArrayLike, falloff: bool = False) -> Table:
-    """A light that shines from a point on all sides, LIGHT (1,). With falloff: intensity / distance^2."""
-    row = np.zeros(1, LIGHT)
+    """A light that shines from a point on all sides, LIGHT_RECORD (1,). With falloff: intensity / distance^2."""
+    row = np.zeros(1, LIGHT_RECORD)
     row["kind"], row["place"], row["intensity"], row["falloff"] = POINT, position, intensity, falloff
     row["axis"], row["cos_disc"] = (0.0, 0.0, -1.0), NO_DISC
     row["cos_inner"] = row["cos_outer"] = -1.0
@@ -50,7 +50,7 @@ def spot_light(
 def directional_light(
     towards: ArrayLike, intensity: ArrayLike, disc_radius: float | None = None, disc: ArrayLike = 0.0
 ) -> Table:
-    """A light at infinity in the direction `towards`, LIGHT (1,).
+    """A light at infinity in the direction `towards`, LIGHT_RECORD (1,).
 
     Rays that leave the scene within `disc_radius` radians of that direction see the colour `disc`; None: none does.
     """
@@ -62,8 +62,8 @@ def directional_light(
 
 
 def light_table(rows: list[Table]) -> Table:
-    """One table, LIGHT (l,), of many."""
-    return np.concatenate(rows) if rows else np.zeros(0, LIGHT)
+    """One table, LIGHT_RECORD (l,), of many."""
+    return np.concatenate(rows) if rows else np.zeros(0, LIGHT_RECORD)
 
 
 def invented_lights(camera: Camera) -> Table:

@@ -17,7 +17,7 @@ from raygrid.node.geometry import SURFACE_KINDS, SurfaceSet
 from raygrid.node.protocol import DIRECTIONAL
 
 if TYPE_CHECKING:
-    from raygrid.host.scene.animation.animation import Shot
+    from raygrid.host.scene.animation.animation import Animation
 
 Colour = tuple[float, float, float]
 
@@ -56,7 +56,7 @@ class Scene:
     highlights: bool = False
     remarks: tuple[str, ...] = ()
     rules: NDArray[np.float64] | None = None
-    shot: Shot | None = None
+    shot: Animation | None = None
     up: tuple[float, float, float] = (0.0, 1.0, 0.0)
 
 

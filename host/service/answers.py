@@ -13,11 +13,18 @@ from raygrid.node.links import why_python
 
 if TYPE_CHECKING:
     from raygrid.host.client.protocol import Message
-    from raygrid.host.client.requests import Cancel, Down, Follow, Probe, Request, Submit
-    from raygrid.host.client.requests import Jobs as JobsRequest
-    from raygrid.host.service.listener import Client
+    from raygrid.host.client.requests import (
+        CancelMessage,
+        DownMessage,
+        FollowMessage,
+        ProbeMessage,
+        Request,
+        SubmitMessage,
+    )
+    from raygrid.host.client.requests import JobsMessage as JobsRequest
+    from raygrid.host.service.listener import ClientConnection
     from raygrid.host.service.schedule import Entry
-    from raygrid.host.service.service import Service
+    from raygrid.host.service.service import ArrayService
 
 RESET_SECONDS = 120.0
 PAGE_BYTES = LONGEST // 2  # of facts of jobs in one answer
@@ -26,15 +33,15 @@ PAGE_BYTES = LONGEST // 2  # of facts of jobs in one answer
 class Answers:
     """Answers for one service."""
 
-    def __init__(self, service: Service) -> None:
+    def __init__(self, service: ArrayService) -> None:
         self._service = service
 
-    async def answer(self, client: Client, request: Request) -> Message:
+    async def answer(self, client: ClientConnection, request: Request) -> Message:
         """The answer to a request. Raises RaygridError for what is refused."""
         answer: Message = await getattr(self, f"_do_{request.do}")(client, request)
         return answer
 
-    async def _do_submit(self, client: Client, request: Submit) -> Message:
+    async def _do_submit(self, client: ClientConnection, request: SubmitMessage) -> Message:
         from raygrid.host.scene.load import check_taken
 
         if self._service.finishing or self._service.state == "ending":
@@ -46,7 +53,7 @@ class Answers:
         asyncio.get_running_loop().call_soon(self._service.next)  # after the answer
         return {"is": "submitted", "job": entry.job, "frames": entry.total}
 
-    async def _do_follow(self, client: Client, request: Follow) -> Message:
+    async def _do_follow(self, client: ClientConnection, request: FollowMessage) -> Message:
         facts = self._facts(request.job)
         if request.job in self._service.jobs.schedule.entries:
             client.follows.add(request.job)
@@ -58,7 +65,7 @@ class Answers:
             raise ArrayError(f"the array {self._service.name!r} has no job {job}")
         return facts
 
-    async def _do_cancel(self, client: Client, request: Cancel) -> Message:
+    async def _do_cancel(self, client: ClientConnection, request: CancelMessage) -> Message:
         entries = self._service.jobs.schedule.entries
         wanted = list(entries) if request.jobs is None else request.jobs
         for job in wanted:
@@ -74,18 +81,18 @@ class Answers:
             self._service.worker.interrupt(self._service.task)
         self._service.tell_end(entry)
 
-    async def _do_jobs(self, client: Client, request: JobsRequest) -> Message:
+    async def _do_jobs(self, client: ClientConnection, request: JobsRequest) -> Message:
         rows = sorted(self._service.jobs.list(request.ended), key=lambda facts: facts["job"])
         rows = [facts for facts in rows if facts["job"] > request.after]
         page = first_page(rows, PAGE_BYTES)
         return {"is": "jobs", "jobs": page, "left": len(rows) - len(page)}
 
-    async def _do_probe(self, client: Client, request: Probe) -> Message:
+    async def _do_probe(self, client: ClientConnection, request: ProbeMessage) -> Message:
         client.rate = request.rate
         self._service.set_rate()
         return {"is": "probing", "array": list(self._service.options.shape), "rate": self._service.worker.keeper.rate}
 
-    async def _do_reset(self, client: Client, request: Request) -> Message:
+    async def _do_reset(self, client: ClientConnection, request: Request) -> Message:
         done = asyncio.get_running_loop().create_future()
         self._service.resets.append(done)
         self._service.worker.ask_reset()
@@ -98,7 +105,7 @@ class Answers:
             raise ArrayError(f"the array was not reset within {RESET_SECONDS:g} seconds") from None
         return {"is": "reset", "nodes": self._service.worker.keeper.pids}
 
-    async def _do_down(self, client: Client, request: Down) -> Message:
+    async def _do_down(self, client: ClientConnection, request: DownMessage) -> Message:
         if request.cancel:
             for entry in list(self._service.jobs.schedule.entries.values()):
                 self._cancel(entry)
@@ -109,7 +116,7 @@ class Answers:
             asyncio.get_running_loop().call_soon(self._service.end)
         return {"is": "ending", "pid": os.getpid(), "unfinished": left}
 
-    async def _do_status(self, client: Client, request: Request) -> Message:
+    async def _do_status(self, client: ClientConnection, request: Request) -> Message:
         return {"is": "status", **await self.facts()}
 
     async def facts(self) -> dict[str, Any]:

@@ -11,11 +11,11 @@ from raygrid.emulator.processes import RESET_SECONDS, RESET_SECONDS_A_NODE, Arra
 from raygrid.node.errors import ArrayError, ProtocolError, RaygridError, TooLarge
 
 if TYPE_CHECKING:
-    from raygrid.emulator.driver import Progress, Sample
+    from raygrid.emulator.driver import NodeSample, Progress
     from raygrid.host.image.picture import Picture
     from raygrid.host.render.frame import Watch
-    from raygrid.host.render.retry import Fault
-    from raygrid.host.service.scene_store import Ready
+    from raygrid.host.render.retry import FaultReport
+    from raygrid.host.service.scene_store import PreparedFrame
 
 Shape = tuple[int, int, int]
 OnFault = Callable[[str], None]
@@ -25,7 +25,7 @@ class NoArray(ArrayError):
     """There is no array, and none can be launched now."""
 
 
-class Keeper:
+class ArraySupervisor:
     """Keeps one array.
 
     shape     processors on each axis
@@ -45,7 +45,7 @@ class Keeper:
         self._array: Array | None = None
         self._holds = ""  # digest of what the array holds
         self.rate = self._rate = 0.0  # wanted, and told to the array
-        self.on_sample: Callable[[Sample], object] | None = None
+        self.on_sample: Callable[[NodeSample], object] | None = None
         self._spoilt = False  # and must be reset before the next frame
         self._given_up = False  # nodes may still be at work on a frame that nobody waits for
 
@@ -111,9 +111,9 @@ class Keeper:
         with self._launching():
             self._array.reset()
 
-    def render(self, ready: Ready, budget: int, watch: Watch) -> Picture:
+    def render(self, ready: PreparedFrame, budget: int, watch: Watch) -> Picture:
         """Render a frame, again if the array fails meanwhile. Raises RaygridError, and what `on_wait` raises."""
-        from raygrid.host.render.retry import render_steadily
+        from raygrid.host.render.retry import render_with_retries
 
         if self._spoilt:  # a frame before was given up, or failed for good
             self.reset()
@@ -127,7 +127,7 @@ class Keeper:
         try:
             loaded = self._holds == ready.loaded
             watching = self._noting(ready, loaded, watch)
-            return render_steadily(self._array, ready.job, budget, watching, loaded, on_fault=self._tell)
+            return render_with_retries(self._array, ready.job, budget, watching, loaded, on_fault=self._tell)
         except BaseException as error:
             # The driver drops what is left of a frame that was given up; only a reset that was given up must be repeated.
             failed = isinstance(error, ArrayError | ProtocolError) and not isinstance(error, TooLarge)
@@ -162,10 +162,10 @@ class Keeper:
             self._rate = self.rate
             self._array.probe(self._rate, self.on_sample)
 
-    def _tell(self, fault: Fault) -> None:
+    def _tell(self, fault: FaultReport) -> None:
         self._on_fault(f"{fault.what}; repaired in {fault.seconds[1]:.2f} s, {fault.restarts} nodes forked anew")
 
-    def _noting(self, ready: Ready, loaded: bool, watch: Watch) -> Watch:
+    def _noting(self, ready: PreparedFrame, loaded: bool, watch: Watch) -> Watch:
         """A watch that notes when the surfaces are all there."""
         if not loaded:
             self._holds = ""
@@ -180,7 +180,7 @@ class Keeper:
 
         return noting
 
-    def _count_load(self, ready: Ready) -> None:
+    def _count_load(self, ready: PreparedFrame) -> None:
         from raygrid.host.render.frame import needs_increment
 
         if self._array is not None and needs_increment(self._array.driver, ready.job):

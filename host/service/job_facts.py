@@ -17,7 +17,7 @@ from raygrid.host.image.frames import LAST_FRAME
 from raygrid.host.text.clean_text import printable
 
 if TYPE_CHECKING:
-    from raygrid.host.client.requests import Submit
+    from raygrid.host.client.requests import SubmitMessage
     from raygrid.host.journal.journal import JobRow
     from raygrid.host.service.schedule import Entry
 
@@ -27,7 +27,7 @@ LEAST_BYTES = 300  # of a job's facts as a message, without its texts
 Facts = dict[str, Any]
 
 
-def entry_facts(entry: Entry, request: Submit) -> Facts:
+def entry_facts(entry: Entry, request: SubmitMessage) -> Facts:
     """Of a job that has not ended."""
     times = {"submitted": entry.submitted, "begun": entry.begun, "ended": None}
     what = _asked(request.model_dump(mode="json", include={"scene", "outputs", "frames", "priority"}))

@@ -22,10 +22,10 @@ from raygrid.host.render.stats import save_stats
 from raygrid.node.errors import OutputError, RaygridError
 
 if TYPE_CHECKING:
-    from raygrid.host.client.requests import Submit
+    from raygrid.host.client.requests import SubmitMessage
     from raygrid.host.image.picture import Picture
     from raygrid.host.journal.journal import Journal
-    from raygrid.host.service.scene_store import Ready
+    from raygrid.host.service.scene_store import PreparedFrame
 
 Files = dict[str, str]
 
@@ -37,7 +37,7 @@ class JobFiles:
     played  those that hold all frames
     """
 
-    def __init__(self, request: Submit, frame: int | None, ready: Ready, reel: Reel) -> None:
+    def __init__(self, request: SubmitMessage, frame: int | None, ready: PreparedFrame, reel: Reel) -> None:
         shot = request.frames is not None
         self._request, self._frame, self._ready = request, frame, ready
         self._reel = reel

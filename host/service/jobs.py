@@ -8,11 +8,11 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from raygrid.host.client.requests import Submit, read_job
+from raygrid.host.client.requests import SubmitMessage, read_job
 from raygrid.host.journal.journal import Damaged, JobRow, Journal, Unwritable
 from raygrid.host.journal.repair import open_again
 from raygrid.host.service.job_facts import entry_facts, row_facts
-from raygrid.host.service.schedule import Entry, Schedule, State
+from raygrid.host.service.schedule import Entry, JobState, Schedule
 from raygrid.host.text.clean_text import printable
 from raygrid.node.errors import OutputError, ProtocolError, RaygridError
 
@@ -46,7 +46,7 @@ class Jobs:
         self.journal, self.schedule, self.trouble = journal, Schedule(), ""
         self.remarks: deque[str] = deque(maxlen=MOST_REMARKS)
         self._keep_place = keep_place
-        self._requests: dict[int, Submit] = {}
+        self._requests: dict[int, SubmitMessage] = {}
         self._unrecorded: deque[Unrecorded] = deque()
         self._last = 0  # the highest number of a job
         self._in_part = False  # whether the journal was made anew and lacks jobs that have not ended
@@ -56,7 +56,7 @@ class Jobs:
                 self._take_up(row)
             except ProtocolError as error:
                 why = str(error)
-                self._record(row.job, lambda to, job=row.job, why=why: to.set_state(job, State.FAILED, why))  # type: ignore[misc]
+                self._record(row.job, lambda to, job=row.job, why=why: to.set_state(job, JobState.FAILED, why))  # type: ignore[misc]
         self._hear_journal()
 
     def _take_up(self, row: JobRow) -> None:
@@ -70,9 +70,9 @@ class Jobs:
         self._last = max(self._last, row.job)
         entry.skipped = row.skipped
         if not left:
-            self._end(entry, State.DONE)
+            self._end(entry, JobState.DONE)
 
-    def submit(self, request: Submit) -> Entry:
+    def submit(self, request: SubmitMessage) -> Entry:
         """Queue a job. Raises OutputError if it cannot be recorded, RaygridError if there are too many."""
         if len(self.schedule.entries) >= MOST_JOBS:
             raise RaygridError(f"{MOST_JOBS} jobs are queued already, wanted fewer")
@@ -91,7 +91,7 @@ class Jobs:
         entry.submitted = time.time()
         return entry
 
-    def request(self, job: int) -> Submit:
+    def request(self, job: int) -> SubmitMessage:
         """What was asked for, of a job that has not ended."""
         return self._requests[job]
 
@@ -100,7 +100,7 @@ class Jobs:
         if entry.begun is None:
             entry.begun = time.time()
         if entry.done == 0:
-            self._record(entry.job, lambda to: to.set_state(entry.job, State.RUNNING))
+            self._record(entry.job, lambda to: to.set_state(entry.job, JobState.RUNNING))
 
     def frame_done(self, entry: Entry, skipped: bool, seconds: float, files: dict[str, str]) -> None:
         """The running frame's files are there; ends the job if it was the last."""
@@ -108,17 +108,17 @@ class Jobs:
         self.schedule.finish(entry, skipped)
         self._record(job, lambda to: to.frame_done(job, frame, skipped, seconds, files))
         if entry.ended:
-            self._end(entry, State.DONE)
+            self._end(entry, JobState.DONE)
 
     def fail(self, entry: Entry, why: str) -> None:
         """The job has failed."""
-        self._end(entry, State.FAILED, printable(why))
+        self._end(entry, JobState.FAILED, printable(why))
 
     def cancel(self, entry: Entry) -> None:
         """The job is not wanted any more."""
-        self._end(entry, State.CANCELLED)
+        self._end(entry, JobState.CANCELLED)
 
-    def _end(self, entry: Entry, state: State, error: str = "") -> None:
+    def _end(self, entry: Entry, state: JobState, error: str = "") -> None:
         self.schedule.end(entry, state, error)
         self._requests.pop(entry.job, None)
         self._record(entry.job, lambda to: to.set_state(entry.job, state, error))

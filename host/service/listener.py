@@ -43,7 +43,7 @@ CREDENTIALS = struct.Struct("3i")
 REFUSALS = ("user", "token", "greeting", "request", "crowd", "slow")
 
 
-class Client:
+class ClientConnection:
     """A client that was let in.
 
     follows  jobs that it is told of
@@ -73,10 +73,10 @@ class Client:
         self._writer.close()
 
 
-Answer = Callable[[Client, Request], Awaitable[Message]]
+Answer = Callable[[ClientConnection, Request], Awaitable[Message]]
 
 
-class Door:
+class Listener:
     """Listens in a private directory.
 
     refused  how often, by why: another user, a wrong token, no proper greeting, a request that is none, too many
@@ -89,7 +89,7 @@ class Door:
         self._token = secrets.token_hex(32)
         self._directory, self._answer = Path(directory), answer
         self.refused: Counter[str] = Counter(dict.fromkeys(REFUSALS, 0))
-        self.clients: set[Client] = set()
+        self.clients: set[ClientConnection] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self._server: asyncio.Server | None = None
         self._look: tuple[int, int] | None = None  # at socket and secret when they were made
@@ -141,7 +141,7 @@ class Door:
         task = asyncio.current_task()
         assert task is not None
         self._tasks.add(task)
-        client = Client(writer, lambda: self.refused.update(slow=1))
+        client = ClientConnection(writer, lambda: self.refused.update(slow=1))
         try:
             await self._meet(client, reader, writer)
         except (OSError, asyncio.CancelledError):
@@ -153,7 +153,7 @@ class Door:
             with contextlib.suppress(OSError, asyncio.CancelledError):
                 await writer.wait_closed()
 
-    async def _meet(self, client: Client, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _meet(self, client: ClientConnection, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         if not _is_ours(writer):
             self.refused["user"] += 1
             return
@@ -191,11 +191,11 @@ class Door:
         known = isinstance(token, str) and hmac.compare_digest(token.encode(), self._token.encode())
         return known and greeting.get("do") == "hello" and greeting.get("version") == VERSION
 
-    def _refuse(self, client: Client, why: str, told: str) -> None:
+    def _refuse(self, client: ClientConnection, why: str, told: str) -> None:
         self.refused[why] += 1
         client.send({"is": "error", "why": why, "error": f"the array refused this client: {told}"})
 
-    async def _serve(self, client: Client, splitter: Splitter, reader: asyncio.StreamReader) -> None:
+    async def _serve(self, client: ClientConnection, splitter: Splitter, reader: asyncio.StreamReader) -> None:
         """Answer requests until the client is gone, or sends what is no message: then nobody knows where the next begins."""
         try:
             while (message := await self._hear(client, splitter, reader)) is not None:
@@ -207,7 +207,7 @@ class Door:
         except ProtocolError as error:
             self._refuse(client, "request", str(error))
 
-    async def _hear(self, client: Client, splitter: Splitter, reader: asyncio.StreamReader) -> Message | None:
+    async def _hear(self, client: ClientConnection, splitter: Splitter, reader: asyncio.StreamReader) -> Message | None:
         """The next message of a client, None if it is gone or has to go. Raises ProtocolError."""
         while True:
             try:
@@ -219,7 +219,7 @@ class Door:
                     self._refuse(client, "crowd", self._crowded())
                     return None
 
-    async def _reply(self, client: Client, message: Message) -> Message:
+    async def _reply(self, client: ClientConnection, message: Message) -> Message:
         try:
             try:
                 request = read_request(message)

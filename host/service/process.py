@@ -11,9 +11,9 @@ import signal
 from collections.abc import Iterator
 from typing import Any
 
-from raygrid.emulator.topology import Place
+from raygrid.emulator.topology import SocketDirectory
 from raygrid.host.client.service_files import JOURNAL, Home
-from raygrid.host.service.service import ENDING, Service
+from raygrid.host.service.service import ENDING, ArrayService
 from raygrid.host.service.worker import Options
 from raygrid.host.text.standard_streams import ready_streams
 from raygrid.node.errors import RaygridError
@@ -21,13 +21,13 @@ from raygrid.node.errors import RaygridError
 FIGURES_SECONDS = 4.0  # for the service to say how it is
 
 
-async def _serve(home: Home, options: Options, place: Place, tell: Any, port: int | None) -> int:
+async def _serve(home: Home, options: Options, place: SocketDirectory, tell: Any, port: int | None) -> int:
     if port is None:
-        return await Service(home, options, place, tell).run()
+        return await ArrayService(home, options, place, tell).run()
     from raygrid.host.probes.metrics_server import Endpoint
     from raygrid.host.probes.prometheus import of_service
 
-    loop, services = asyncio.get_running_loop(), list[Service]()
+    loop, services = asyncio.get_running_loop(), list[ArrayService]()
 
     def families() -> Iterator[Any]:
         for service in services:
@@ -36,7 +36,7 @@ async def _serve(home: Home, options: Options, place: Place, tell: Any, port: in
 
     endpoint = Endpoint(families, port)  # first: what keeps it from its port is said before anything is launched
     try:
-        service = Service(home, options, place, tell)
+        service = ArrayService(home, options, place, tell)
         service.prometheus = endpoint.port
         services.append(service)
         return await service.run()
@@ -66,7 +66,7 @@ def main() -> None:
         nx, ny, nz = given.array
         journal = home.directory / JOURNAL
         options = Options((nx, ny, nz), given.batch, given.patience, journal, given.programs, given.outside)
-        with Place.create((1, 1, 1)) as place:
+        with SocketDirectory.create((1, 1, 1)) as place:
             code = asyncio.run(_serve(home, options, place, tell, given.prometheus))
         home.close()
     except (RaygridError, OSError) as error:

@@ -8,9 +8,9 @@ from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from raygrid.host.client.requests import Submit
+from raygrid.host.client.requests import SubmitMessage
 from raygrid.host.image.frames import Ends, Turntable, frames_of
-from raygrid.host.render.animation_jobs import ShotJobs
+from raygrid.host.render.animation_jobs import AnimationJobs
 from raygrid.host.render.job import Job, Settings, make_job, samples_expected
 from raygrid.host.render.picture_digest import contents_of_shot, picture_digest
 from raygrid.host.scene.animation.turntable import turntable
@@ -25,7 +25,7 @@ Shape = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
-class Wanted:
+class FrameRequest:
     """What a job wants to be made ready.
 
     path      of the scene's file
@@ -44,17 +44,17 @@ class Wanted:
             frames_of(scene, self.frames)
 
 
-def wanted_by(submit: Submit) -> Wanted:
+def wanted_by(submit: SubmitMessage) -> FrameRequest:
     """What a submission wants to be made ready. Raises SceneError for a program that is none."""
     from raygrid.host.render.program_file import read_program
 
     program = None if submit.program is None else read_program(submit.program)
     turn = None if submit.turntable is None else Turntable(submit.turntable.frames, submit.turntable.scene)
-    return Wanted(submit.scene, Settings(**dict(submit.settings), program=program), turn, submit.frames)
+    return FrameRequest(submit.scene, Settings(**dict(submit.settings), program=program), turn, submit.frames)
 
 
 @dataclass(frozen=True)
-class Ready:
+class PreparedFrame:
     """A frame that is ready for the array.
 
     loaded    a digest of what the array must hold: the planes between cells, the surfaces, where they are, the program
@@ -77,11 +77,11 @@ class Ready:
 
 
 @dataclass(frozen=True)
-class _Shot:
+class _StoredAnimation:
     """A shot that is kept: the scene as it was read, its jobs, and a digest of what they all share."""
 
     scene: Scene
-    jobs: ShotJobs
+    jobs: AnimationJobs
     shared: str
 
 
@@ -94,8 +94,8 @@ class SceneStore:
     def __init__(self, shape: Shape, allow_outside: bool = False) -> None:
         self._shape, self._allow_outside = shape, allow_outside
         self._scenes: OrderedDict[str, tuple[Sources, Scene]] = OrderedDict()
-        self._ready: OrderedDict[Wanted, tuple[Scene, Ready]] = OrderedDict()
-        self._shots: OrderedDict[Wanted, _Shot] = OrderedDict()
+        self._ready: OrderedDict[FrameRequest, tuple[Scene, PreparedFrame]] = OrderedDict()
+        self._shots: OrderedDict[FrameRequest, _StoredAnimation] = OrderedDict()
 
     def scene(self, path: str) -> tuple[Sources, Scene]:
         """The scene of a file as it is now, and what it was read from. Raises SceneError."""
@@ -107,7 +107,7 @@ class SceneStore:
         _keep(self._scenes, path, kept)
         return kept
 
-    def frame(self, wanted: Wanted, frame: int | None) -> Ready:
+    def frame(self, wanted: FrameRequest, frame: int | None) -> PreparedFrame:
         """A frame of the scene as its files are now; None: a shot's first. Raises SceneError."""
         sources, scene = self.scene(wanted.path)
         key = replace(wanted, frames=None)
@@ -119,11 +119,11 @@ class SceneStore:
             job = make_job(scene, self._shape, wanted.settings)
             loaded = _digest_of_load(job) + _digest_of_program(wanted.settings)
             about = samples_expected(job), tuple(scene.remarks), tuple(sources.files)
-            kept = scene, Ready(job, loaded, sources.digest(), *about)
+            kept = scene, PreparedFrame(job, loaded, sources.digest(), *about)
         _keep(self._ready, key, kept)
         return kept[1]
 
-    def _shot_frame(self, scene: Scene, sources: Sources, wanted: Wanted, frame: int | None) -> Ready:
+    def _shot_frame(self, scene: Scene, sources: Sources, wanted: FrameRequest, frame: int | None) -> PreparedFrame:
         """A frame of a scene that moves: its jobs share what an array needs to go from one to the next by increments."""
         kept = self._shot(scene, wanted)
         job = kept.jobs.job(1 if frame is None else frame)
@@ -133,9 +133,9 @@ class SceneStore:
         if frame is None and scene.shot is not None and scene.shot.frames > 1:
             remarks += (f"frame 1 of {scene.shot.frames}; --frames 1-{scene.shot.frames} renders all",)
         about = samples_expected(job), remarks, tuple(sources.files)
-        return Ready(job, loaded, contents_of_shot(sources, wanted.turn), *about)
+        return PreparedFrame(job, loaded, contents_of_shot(sources, wanted.turn), *about)
 
-    def _shot(self, scene: Scene, wanted: Wanted) -> _Shot:
+    def _shot(self, scene: Scene, wanted: FrameRequest) -> _StoredAnimation:
         key = replace(wanted, frames=None)
         kept = self._shots.pop(key, None)
         if kept is not None and kept.scene is scene:
@@ -147,8 +147,8 @@ class SceneStore:
             wanted.check_frames(moving)
             like = next((s.jobs for k, s in self._shots.items() if s.scene is scene and k.turn == turn), None)
             middle = (moving.shot.frames + 1) // 2
-            jobs = ShotJobs(moving, self._shape, wanted.settings, middle, like=like)
-            kept = _Shot(scene, jobs, _digest_of_load(jobs.job(middle)))
+            jobs = AnimationJobs(moving, self._shape, wanted.settings, middle, like=like)
+            kept = _StoredAnimation(scene, jobs, _digest_of_load(jobs.job(middle)))
         _keep(self._shots, key, kept)
         return kept
 

@@ -16,7 +16,7 @@ PASSES = 8  # frames of higher priorities, after which a lower one has a frame
 MOST_YIELDS = 2  # times that a frame is given up for one of a higher priority; then it is finished first
 
 
-class State(StrEnum):
+class JobState(StrEnum):
     """Of a job."""
 
     QUEUED = "queued"
@@ -26,7 +26,7 @@ class State(StrEnum):
     CANCELLED = "cancelled"
 
 
-ENDED = (State.DONE, State.FAILED, State.CANCELLED)
+ENDED = (JobState.DONE, JobState.FAILED, JobState.CANCELLED)
 
 
 @dataclass
@@ -51,7 +51,7 @@ class Entry:
     done: int = 0
     skipped: int = 0
     running: int | None = None
-    state: State = State.QUEUED
+    state: JobState = JobState.QUEUED
     error: str = ""
     submitted: float = 0.0
     begun: float | None = None
@@ -158,7 +158,7 @@ class Schedule:
         turns.passed = 0
         entry = turns.take()
         entry.running, entry.owed = entry.todo.popleft(), owed
-        entry.state = State.RUNNING
+        entry.state = JobState.RUNNING
         if entry.todo:
             self._wait(entry)
         return entry, entry.running
@@ -184,9 +184,9 @@ class Schedule:
         entry.done += 1
         entry.skipped += skipped
         if not entry.todo:
-            self.end(entry, State.DONE)
+            self.end(entry, JobState.DONE)
 
-    def end(self, entry: Entry, state: State, error: str = "") -> None:
+    def end(self, entry: Entry, state: JobState, error: str = "") -> None:
         """End a job, whatever is left of it."""
         entry.state, entry.error = state, error
         entry.todo.clear()

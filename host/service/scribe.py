@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from raygrid.host.service.scene_store import Ready
+    from raygrid.host.service.scene_store import PreparedFrame
 
 LOOK_SECONDS = 0.05  # between two looks at whether a call is still wanted
 STOPPED_SECONDS = 0.75  # a process that is stopped (SIGSTOP) for longer than this is lost, as a node is
@@ -49,7 +49,7 @@ class Begun:
     remarks  on the scene and on what is written
     """
 
-    ready: Ready | None
+    ready: PreparedFrame | None
     files: dict[str, str]
     remarks: tuple[str, ...]
 

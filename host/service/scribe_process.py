@@ -21,7 +21,7 @@ import numpy as np
 
 from raygrid.emulator.processes import end_with_parent
 from raygrid.host.service.pickled_calls import Shared, pack, receiving
-from raygrid.host.service.scene_store import Ready, SceneStore, wanted_by
+from raygrid.host.service.scene_store import PreparedFrame, SceneStore, wanted_by
 from raygrid.host.service.scribe import SHARED, Begun, Finished
 from raygrid.host.text.error_text import told
 from raygrid.node.errors import RaygridError
@@ -30,7 +30,7 @@ from raygrid.node.geometry import SurfaceSet
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from raygrid.host.client.requests import Submit
+    from raygrid.host.client.requests import SubmitMessage
     from raygrid.host.image.picture import Picture
     from raygrid.host.service.job_files import JobFiles
     from raygrid.node.programs import Program
@@ -40,7 +40,7 @@ UNANSWERED = ("warm", "sweep")
 FILMS = "films"  # in the state directory: frames that wait to be played, a directory a job
 
 
-class Work:
+class ScribeWork:
     """What the service may call."""
 
     def __init__(self, shape: tuple[int, int, int], journal: Path, outside: bool) -> None:
@@ -49,7 +49,7 @@ class Work:
         self._files: JobFiles | None = None
         self._checked = -1  # the job whose names of files were looked at last
 
-    def begin(self, job: int, request: Submit, frame: int | None, programs: bool) -> Begun:
+    def begin(self, job: int, request: SubmitMessage, frame: int | None, programs: bool) -> Begun:
         """Read the scene, make a frame of it ready, and look at where its files go. Raises RaygridError."""
         from raygrid.host.files.input_guard import noted
         from raygrid.host.image.moving_pictures import Reel
@@ -72,7 +72,7 @@ class Work:
             files.check()
         return Begun(_for_the_array(ready), files.digests, remarks)
 
-    def again(self, number: int) -> Ready:
+    def again(self, number: int) -> PreparedFrame:
         """Another frame of the same job, made ready. Raises RaygridError."""
         return _for_the_array(self._store.frame(wanted_by(self._request), number))
 
@@ -144,7 +144,7 @@ def _picture(finished: Finished) -> Picture:
     return Picture(finished.sums, finished.samples, finished.stats)
 
 
-def _for_the_array(ready: Ready) -> Ready:
+def _for_the_array(ready: PreparedFrame) -> PreparedFrame:
     """A frame without what only its making needed: of the scene nothing but its name."""
     scene = ready.job.scene
     bare = replace(
@@ -153,7 +153,7 @@ def _for_the_array(ready: Ready) -> Ready:
     return replace(ready, job=replace(ready.job, scene=bare))
 
 
-def _serve(door: socket.socket, work: Work) -> None:
+def _serve(door: socket.socket, work: ScribeWork) -> None:
     """Do what is asked for until the service closes the socket."""
     shared = Shared(SHARED)
     with door.makefile("rb", buffering=0) as incoming:
@@ -200,7 +200,7 @@ def main() -> None:
     nx, ny, nz = given.shape
     with socket.socket(fileno=given.socket) as door, contextlib.suppress(BrokenPipeError, ConnectionResetError):
         os.set_inheritable(door.fileno(), False)
-        _serve(door, Work((nx, ny, nz), given.journal, given.outside))
+        _serve(door, ScribeWork((nx, ny, nz), given.journal, given.outside))
     sys.stderr.flush()
     os._exit(0)
 

@@ -17,8 +17,8 @@ from collections import Counter, deque
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
-from raygrid.emulator.topology import Place, process_mark
-from raygrid.host.client.service_files import Home, LockTaken, Record
+from raygrid.emulator.topology import SocketDirectory, process_mark
+from raygrid.host.client.service_files import Home, LockTaken, ServiceRecord
 from raygrid.host.service.worker import Event, Options, Task, Worker
 from raygrid.host.text.clean_text import printable
 from raygrid.host.text.error_text import told
@@ -37,7 +37,7 @@ FAULTS_KEPT = 20
 ENDING = {signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
 
 
-class Service:
+class ArrayService:
     """One array that stays, its jobs and its clients.
 
     state, why   launching, ready, broken and why, ending; `finishing`: takes no more jobs and ends after the last
@@ -49,11 +49,11 @@ class Service:
     prometheus   port at which its figures are served, None for none; to be set before it runs
     """
 
-    def __init__(self, home: Home, options: Options, place: Place, tell: Any) -> None:
+    def __init__(self, home: Home, options: Options, place: SocketDirectory, tell: Any) -> None:
         from raygrid.host.journal.repair import open_journal
         from raygrid.host.service.answers import Answers
         from raygrid.host.service.jobs import Jobs
-        from raygrid.host.service.listener import Door
+        from raygrid.host.service.listener import Listener
         from raygrid.host.service.node_samples import Samples
 
         self.name, self.options, self._tell = home.name, options, tell
@@ -63,7 +63,7 @@ class Service:
         self.worker.start()  # first of all: the nursery warms up while the rest is made ready
         self.jobs = Jobs(*open_journal(options.journal), home.keep)
         self.answers = Answers(self)
-        self.door = Door(place.path, self.answers.answer)
+        self.door = Listener(place.path, self.answers.answer)
         self.samples = Samples()
         self.prometheus: int | None = None
         self.state, self.why = "launching", ""
@@ -81,7 +81,7 @@ class Service:
         self.finishing = False
         self._over = asyncio.Event()
         self._launched = False
-        self._record: Record | None = None
+        self._record: ServiceRecord | None = None
 
     async def run(self) -> int:
         """Serve until told to end; returns the exit code."""
@@ -142,7 +142,7 @@ class Service:
         if there and self.door.is_sound():
             return
         if not there:
-            self._place = Place.create((1, 1, 1))
+            self._place = SocketDirectory.create((1, 1, 1))
         await self.door.open(self._place.path)
         if self._record is not None:
             self._record = replace(self._record, directory=self._place.path)
@@ -174,7 +174,9 @@ class Service:
         if not self._launched:
             self._launched = True
             mark = process_mark(os.getpid()) or ""
-            self._record = Record(self.name, os.getpid(), mark, self._place.path, self.options.shape, self.started)
+            self._record = ServiceRecord(
+                self.name, os.getpid(), mark, self._place.path, self.options.shape, self.started
+            )
             try:
                 self._home.keep_record(self._record)
             except OSError as error:

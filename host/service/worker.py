@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from raygrid.host.service.array_supervisor import Keeper, NoArray
+from raygrid.host.service.array_supervisor import ArraySupervisor, NoArray
 from raygrid.host.service.scribe import Begun, Finished, Scribe, ScribeLost
 from raygrid.host.text.clean_text import printable
 from raygrid.host.text.error_text import told
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from raygrid.emulator.driver import Progress
-    from raygrid.host.client.requests import Submit
+    from raygrid.host.client.requests import SubmitMessage
     from raygrid.host.image.picture import Picture
     from raygrid.host.render.job import Job
-    from raygrid.host.service.scene_store import Ready
+    from raygrid.host.service.scene_store import PreparedFrame
 
 LAUNCH_SECONDS = 5.0  # between two attempts to launch an array that could not be
 LOOK_SECONDS = 0.25  # between two looks at an array that has nothing to do
@@ -45,7 +45,7 @@ class Task:
     serial: int
     job: int
     frame: int | None
-    request: Submit
+    request: SubmitMessage
     last: bool = True
 
 
@@ -101,7 +101,7 @@ class Worker(threading.Thread):
         self._task: Task | None = None
         self._told = 0.0
         self._noted: set[tuple[int, str]] = set()
-        self.keeper = Keeper(
+        self.keeper = ArraySupervisor(
             options.shape,
             lambda what: post(Event("fault", self._task, {"what": what})),
             self._look,
@@ -258,7 +258,7 @@ class Worker(threading.Thread):
         played: dict[str, str] = self._scribe.ask("play")
         return played
 
-    def _picture(self, task: Task, ready: Ready) -> Picture:
+    def _picture(self, task: Task, ready: PreparedFrame) -> Picture:
         ready = replace(ready, job=replace(ready.job, add_missed=self._add_missed))
         picture = self.keeper.render(ready, task.request.budget, self._watch(task, ready))
         if (blank := picture.blank()) is not None:
@@ -269,7 +269,7 @@ class Worker(threading.Thread):
         """The background of a program runs in the scribe: it may never come to an end."""
         sums += self._scribe.ask("background", job.settings.program, job.frame, job.space.step)
 
-    def _watch(self, task: Task, ready: Ready) -> Callable[[str, Progress | None], None]:
+    def _watch(self, task: Task, ready: PreparedFrame) -> Callable[[str, Progress | None], None]:
         def watch(phase: str, now: Progress | None) -> None:
             self._look()
             if now is None:

@@ -2,9 +2,9 @@ from .bvh import COUNT_SHIFT as COUNT_SHIFT
 from .bvh import DEPTH as DEPTH
 from .bvh import FIRST_MASK as FIRST_MASK
 from .bvh import LEAF_BIT as LEAF_BIT
-from .bvh import WORDS as WORDS
+from .bvh import NODE_WORDS as NODE_WORDS
 from .bvh import build as build
-from .bvh_simd import CHILDREN as CHILDREN
+from .bvh_simd import CHILD_COLUMN as CHILD_COLUMN
 from .bvh_simd import WIDE as WIDE
 from .bvh_simd import push_boxes as push_boxes
 from .grid_walk import HOST as HOST
@@ -34,9 +34,9 @@ from .lattice import make_space as make_space
 from .lattice import nearest as nearest
 from .lattice import world_around as world_around
 from .overlap import surface_meets as surface_meets
+from .rigid_motion import MOTION_SCALE as MOTION_SCALE
+from .rigid_motion import MOTION_SHIFT as MOTION_SHIFT
 from .rigid_motion import NO_MOTION as NO_MOTION
-from .rigid_motion import SCALE as SCALE
-from .rigid_motion import SHIFT as SHIFT
 from .rigid_motion import Groups as Groups
 from .rigid_motion import Moves as Moves
 from .rigid_motion import at_rest as at_rest

@@ -30,7 +30,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.node.geometry.bvh_simd import CHILDREN, WIDE
+from raygrid.node.geometry.bvh_simd import CHILD_COLUMN, WIDE
 from raygrid.node.jit.decorators import kernel, part
 
 INFLATE = 4e-6  # machine coordinates; a hit that counts lies within SLACK / 4 of its surface's box
@@ -38,14 +38,14 @@ LEAF = 4  # most items in a leaf
 ITEM_COST, NODE_COST = 1.0, 2.0
 BINS = 16
 STEEP = 48  # from this depth on the binary tree is simply halved
-WORDS = 64  # in a node
+NODE_WORDS = 64  # in a node
 LEAF_BIT, COUNT_SHIFT, COUNT_MASK = 1 << 31, 28, 7
 FIRST_MASK = (1 << COUNT_SHIFT) - 1
-MOST_ITEMS = 1 << COUNT_SHIFT
+MOST_LEAF_ITEMS = 1 << COUNT_SHIFT
 # Most keys on the stack of a walk. Each level opened leaves at most WIDE - 1 keys, a level of the wide tree is at least
 # one of the binary tree, and that has at most STEEP levels and then halves; the last node needs WIDE places.
 DEPTH = (STEEP + COUNT_SHIFT + 1) * (WIDE - 1) + WIDE
-NOWHERE = np.float32(1e30)  # a point that no ray reaches within its bounds
+EMPTY_BOUND = np.float32(1e30)  # a point that no ray reaches within its bounds
 
 
 @kernel
@@ -245,10 +245,10 @@ def _wide(boxes, order, left, firsts, counts, cuts, floats, words):
     while waiting > 0:
         waiting -= 1
         root, parent, lane = todo[waiting]
-        floats[made, :CHILDREN] = NOWHERE
-        words[made, CHILDREN:] = 0
+        floats[made, :CHILD_COLUMN] = EMPTY_BOUND
+        words[made, CHILD_COLUMN:] = 0
         if made > 0:
-            words[parent, CHILDREN + lane] = made
+            words[parent, CHILD_COLUMN + lane] = made
         for k in range(_chosen(root, left, cuts, lanes)):
             node = lanes[k]
             _item_bounds(boxes, order, firsts[node], counts[node], whole, centres)
@@ -256,7 +256,7 @@ def _wide(boxes, order, left, firsts, counts, cuts, floats, words):
                 floats[made, c * WIDE + k] = np.float32(whole[0, c] - INFLATE)
                 floats[made, (3 + c) * WIDE + k] = np.float32(whole[1, c] + INFLATE)
             if cuts[node, 1] == 0:
-                words[made, CHILDREN + k] = np.uint32(LEAF_BIT | (counts[node] - 1) << COUNT_SHIFT | firsts[node])
+                words[made, CHILD_COLUMN + k] = np.uint32(LEAF_BIT | (counts[node] - 1) << COUNT_SHIFT | firsts[node])
             else:
                 todo[waiting] = (node, made, k)
                 waiting += 1
@@ -267,13 +267,13 @@ def _wide(boxes, order, left, firsts, counts, cuts, floats, words):
 def build(
     boxes: NDArray[np.float64], kinds: NDArray[np.int8] | None = None
 ) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
-    """(order of the items in the leaves, nodes (n, WORDS)) over item boxes (items, 2, 3), at least one item.
+    """(order of the items in the leaves, nodes (n, NODE_WORDS)) over item boxes (items, 2, 3), at least one item.
 
     `kinds` of the items, all the same if not given. Raises ValueError for more items than a leaf can name.
     """
     items = len(boxes)
-    if items > MOST_ITEMS:
-        raise ValueError(f"a hierarchy over {items} items, wanted at most {MOST_ITEMS}")
+    if items > MOST_LEAF_ITEMS:
+        raise ValueError(f"a hierarchy over {items} items, wanted at most {MOST_LEAF_ITEMS}")
     boxes, order = np.ascontiguousarray(boxes), np.arange(items)
     size = 2 * items - 1  # of a binary tree
     areas, kind = np.empty(size), np.zeros(size, np.int8)
@@ -293,6 +293,6 @@ def build(
 
 def aligned(nodes: int) -> NDArray[np.float32]:
     """Room for nodes that begin at a cache line, so that no row of planes lies in two."""
-    room = np.empty((nodes + 1) * WORDS, np.float32)
+    room = np.empty((nodes + 1) * NODE_WORDS, np.float32)
     first = -(room.ctypes.data // room.itemsize) % (64 // room.itemsize)
-    return room[first : first + nodes * WORDS].reshape(nodes, WORDS)
+    return room[first : first + nodes * NODE_WORDS].reshape(nodes, NODE_WORDS)

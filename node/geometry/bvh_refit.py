@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from raygrid.node.geometry.bvh import (
     COUNT_MASK,
     COUNT_SHIFT,
+    EMPTY_BOUND,
     FIRST_MASK,
     INFLATE,
     ITEM_COST,
     LEAF_BIT,
     NODE_COST,
-    NOWHERE,
-    WORDS,
+    NODE_WORDS,
     aligned,
 )
-from raygrid.node.geometry.bvh_simd import CHILDREN, WIDE
+from raygrid.node.geometry.bvh_simd import CHILD_COLUMN, WIDE
 from raygrid.node.jit.decorators import kernel
 
 WORSE = 1.25  # expected cost, against that of the tree when it was built, from which building anew pays
@@ -33,9 +33,9 @@ def _refit(floats, words, boxes, whole):
     for node in range(len(floats) - 1, -1, -1):
         whole[node, :3], whole[node, 3:] = np.inf, -np.inf
         for lane in range(WIDE):
-            if floats[node, lane] == NOWHERE:
+            if floats[node, lane] == EMPTY_BOUND:
                 continue
-            child = np.int64(words[node, CHILDREN + lane])
+            child = np.int64(words[node, CHILD_COLUMN + lane])
             for c in range(3):
                 low, high = np.inf, -np.inf
                 if child & LEAF_BIT:
@@ -57,9 +57,9 @@ def _expected(floats, words):
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for node in range(len(floats)):
         for lane in range(WIDE):
-            if floats[node, lane] == NOWHERE:
+            if floats[node, lane] == EMPTY_BOUND:
                 continue
-            child = np.int64(words[node, CHILDREN + lane])
+            child = np.int64(words[node, CHILD_COLUMN + lane])
             x = np.float64(floats[node, 3 * WIDE + lane]) - floats[node, lane]
             y = np.float64(floats[node, 4 * WIDE + lane]) - floats[node, WIDE + lane]
             z = np.float64(floats[node, 5 * WIDE + lane]) - floats[node, 2 * WIDE + lane]
@@ -79,9 +79,9 @@ def expected_cost(floats: NDArray[np.float32]) -> float:
 
 
 def refitted(floats: NDArray[np.float32], boxes: NDArray[np.float64]) -> NDArray[np.float32]:
-    """The tree `floats` over boxes (items, 2, 3) in leaf order, float32 (n, WORDS)."""
+    """The tree `floats` over boxes (items, 2, 3) in leaf order, float32 (n, NODE_WORDS)."""
     fitted = aligned(len(floats))
     fitted[:] = floats
     _refit(fitted, fitted.view(np.uint32), np.ascontiguousarray(boxes), np.empty((len(floats), 6)))
-    assert fitted.shape[1] == WORDS
+    assert fitted.shape[1] == NODE_WORDS
     return fitted

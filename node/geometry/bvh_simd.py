@@ -20,7 +20,7 @@ from numba.core import cgutils, types
 from numba.extending import intrinsic
 
 WIDE = 8  # boxes in a node of the hierarchy
-CHILDREN = 6 * WIDE  # the word of a node at which its children are named
+CHILD_COLUMN = 6 * WIDE  # the word of a node at which its children are named
 LEAVE_LATER = 1.0 + 2.0**-21  # see `node.geometry.bvh`
 
 _INT, _LONG = ir.IntType(32), ir.IntType(64)
@@ -94,7 +94,7 @@ def _push_boxes(
         later = builder.fmul(leave, ir.Constant(_FLOATS, [LEAVE_LATER] * WIDE))
         met = builder.fcmp_ordered("<=", enter, later)
         times = builder.zext(builder.bitcast(enter, _INTS), _LONGS)
-        children = builder.zext(load(ir.Constant(_LONG, CHILDREN), _INTS), _LONGS)
+        children = builder.zext(load(ir.Constant(_LONG, CHILD_COLUMN), _INTS), _LONGS)
         every = builder.or_(builder.shl(times, ir.Constant(_LONGS, [32] * WIDE)), children)
         place = _address(context, builder, signature.args[6], keys, top, _LONGS)
         builder.store(_pack(builder, every, met), place, align=8)

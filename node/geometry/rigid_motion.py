@@ -25,7 +25,7 @@ from raygrid.node.geometry.surfaces import STORED_AS, AddedKind, AnyKind, Batch,
 
 F64 = NDArray[np.float64]
 Ints = NDArray[np.int64]
-TURN, SCALE, SHIFT, MOTION = 0, 4, 5, 8
+ROTATION, MOTION_SCALE, MOTION_SHIFT, MOTION = 0, 4, 5, 8
 MAX_GROUPS = 1 << 16
 MAX_RANGES = 1 << 20
 FARTHEST = 1e6  # scale and shift of a motion in machine coordinates, which are below 2; as `messages.read_surfaces`
@@ -91,9 +91,9 @@ def fault_of(motions: F64) -> str:
             return f"motion {row} is {motion.tolist()}, wanted finite numbers"
         if not abs(float(np.sum(motion[:4] ** 2)) - 1.0) <= 2.0 * UNIT_ERROR:
             return f"motion {row} has the quaternion {motion[:4].tolist()}, wanted one of length 1"
-        if not (0.0 < motion[SCALE] < FARTHEST and (np.abs(motion[SHIFT:]) < FARTHEST).all()):
+        if not (0.0 < motion[MOTION_SCALE] < FARTHEST and (np.abs(motion[MOTION_SHIFT:]) < FARTHEST).all()):
             return (
-                f"motion {row} has scale {motion[SCALE]:g} and shift {motion[SHIFT:].tolist()}, "
+                f"motion {row} has scale {motion[MOTION_SCALE]:g} and shift {motion[MOTION_SHIFT:].tolist()}, "
                 f"wanted a scale above 0, and both below {FARTHEST:g}"
             )
     return ""
@@ -107,12 +107,16 @@ def _turned(matrices: F64, vectors: F64) -> F64:
 
 def moved_rows(kind: AnyKind, data: F64, motions: F64) -> F64:
     """Rows of a batch's data, float64, after a motion each (n, MOTION); of polygons, rows of points."""
-    matrices, scale, shift = turns(motions[:, :4]), motions[:, SCALE : SCALE + 1], motions[:, SHIFT:]
+    matrices, scale, shift = (
+        turns(motions[:, :4]),
+        motions[:, MOTION_SCALE : MOTION_SCALE + 1],
+        motions[:, MOTION_SHIFT:],
+    )
     result = data.copy()
     if kind == AddedKind.PROGRAMMED:
         result[:, :4] = products(motions[:, :4], data[:, :4])
-        result[:, SCALE] = data[:, SCALE] * motions[:, SCALE]
-        result[:, SHIFT:MOTION] = _turned(matrices, data[:, SHIFT:MOTION]) * scale + shift
+        result[:, MOTION_SCALE] = data[:, MOTION_SCALE] * motions[:, MOTION_SCALE]
+        result[:, MOTION_SHIFT:MOTION] = _turned(matrices, data[:, MOTION_SHIFT:MOTION]) * scale + shift
         return result
     points: tuple[int, ...] = (0,)
     normals: tuple[int, ...] = ()
@@ -153,7 +157,9 @@ def anchors(batch: Batch) -> F64:
     if batch.kind == Kind.POLYGON:
         return batch.data[batch.starts[:-1]].astype(np.float64)
     if batch.kind == AddedKind.PROGRAMMED:
-        return batch.data[:, SHIFT:MOTION].astype(np.float64)  # the cell of its box's middle retains it by its box
+        return batch.data[:, MOTION_SHIFT:MOTION].astype(
+            np.float64
+        )  # the cell of its box's middle retains it by its box
     points = batch.data[:, :3].astype(np.float64)
     if batch.kind == Kind.SPHERE:
         points[:, 0] += np.abs(batch.data[:, 3])

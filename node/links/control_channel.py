@@ -13,10 +13,10 @@ from typing import Any
 from raygrid.node.errors import ProtocolError
 from raygrid.node.protocol.codec import pack_map, read_map
 
-LONGEST_WORDS = 1 << 16  # bytes
+LONGEST_CONTROL_MESSAGE = 1 << 16  # bytes
 
 
-class Line:
+class ControlChannel:
     """One end of a line.
 
     closed   nothing more can be said or heard: the other end is gone
@@ -37,8 +37,8 @@ class Line:
     def send(self, words: dict[str, Any]) -> bool:
         """Say something now; False if there is no room, or nobody to hear it. Raises ProtocolError if it is too long."""
         data = pack_map(words)
-        if len(data) > LONGEST_WORDS:
-            raise ProtocolError(f"words for a line have {len(data)} bytes, wanted at most {LONGEST_WORDS}")
+        if len(data) > LONGEST_CONTROL_MESSAGE:
+            raise ProtocolError(f"words for a line have {len(data)} bytes, wanted at most {LONGEST_CONTROL_MESSAGE}")
         if self.closed:
             return False
         try:
@@ -54,14 +54,14 @@ class Line:
         """The next words, None if there are none now or the line is closed."""
         while not self.closed:
             try:
-                data = self._socket.recv(LONGEST_WORDS + 1)
+                data = self._socket.recv(LONGEST_CONTROL_MESSAGE + 1)
             except BlockingIOError:
                 return None
             except OSError:
                 data = b""
             if not data:
                 self.closed = True
-            elif len(data) > LONGEST_WORDS:
+            elif len(data) > LONGEST_CONTROL_MESSAGE:
                 self.refused += 1
             else:
                 try:

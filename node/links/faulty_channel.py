@@ -51,7 +51,7 @@ def parse_fault(text: str) -> FaultPlan:
     return FaultPlan(words[0], rate, seed)
 
 
-class Faulty:
+class FaultyChannel:
     """A channel that hits some of the messages sent over it.
 
     key   what the choice of messages follows from, beside the plan's seed
@@ -125,7 +125,7 @@ class Faulty:
         self.inner.close()
 
 
-def tend(channels: Iterable[Faulty], patience: int | None) -> int:
+def tend(channels: Iterable[FaultyChannel], patience: int | None) -> int:
     """Send what is due on these channels; returns the milliseconds to wait for messages, at most TICK_MS."""
     for channel in channels:
         channel.release()

@@ -41,11 +41,11 @@ from raygrid.node.protocol.packets import SIZE
 
 # places in a link's book: whole numbers that compiled code keeps, too (`node.runtime.event_loop`)
 SOCKET, REGULAR, EPOCH = 0, 1, 2  # address of its ZeroMQ socket, 0: not for compiled code; `Link.regular`; epoch
-SENT, RECEIVED = 3, 4  # messages, and so the sequence numbers of the next ones
-DATA_SENT, CREDIT = 5, 6  # messages with data: sent, and of these processed by the peer
-DATA_DONE, DATA_DONE_TOLD = 7, 8  # of the peer's: processed, and of these told to it
+LINK_SENT, LINK_RECEIVED = 3, 4  # messages, and so the sequence numbers of the next ones
+LINK_DATA_SENT, CREDIT = 5, 6  # messages with data: sent, and of these processed by the peer
+LINK_DATA_DONE, LINK_DATA_TOLD = 7, 8  # of the peer's: processed, and of these told to it
 MESSAGES_SENT, BYTES_SENT = 9, 10
-BOOK = 11
+LINK_STATE = 11
 
 MESSAGE_OVERHEAD = 250  # bytes, more than a message that waits here takes beside its payload
 
@@ -63,7 +63,7 @@ class Channel(Protocol):
         """Give the channel up; messages under way may be lost."""
 
 
-class State(Enum):
+class LinkPhase(Enum):
     """Where a link stands."""
 
     NEW = "new"
@@ -91,8 +91,8 @@ class Link:
         self.channel = channel
         self.name = name
         self.epoch = epoch
-        self._book = np.zeros(BOOK, np.int64).data
-        self.state = State.NEW
+        self._book = np.zeros(LINK_STATE, np.int64).data
+        self.state = LinkPhase.NEW
         self._identity = {**identity, "version": VERSION}
         self._peer = {**peer, "version": VERSION}
         self._heard = self._acknowledged = self._bye_heard = self._bye_answered = False
@@ -163,8 +163,8 @@ class Link:
 
     def grant(self, messages: int = 1) -> None:
         """Say that this many data messages from the peer have been processed."""
-        self._book[DATA_DONE] += messages
-        if self._book[DATA_DONE] - self._book[DATA_DONE_TOLD] >= WINDOW // 2 and self.state is State.UP:
+        self._book[LINK_DATA_DONE] += messages
+        if self._book[LINK_DATA_DONE] - self._book[LINK_DATA_TOLD] >= WINDOW // 2 and self.state is LinkPhase.UP:
             self._post(MessageKind.CREDIT, b"")
 
     def give_up(self) -> None:
@@ -178,9 +178,9 @@ class Link:
 
     def close(self) -> None:
         """Say BYE; the link is CLOSED when both sides have said and answered it."""
-        if self.state in (State.NEW, State.UP):
+        if self.state in (LinkPhase.NEW, LinkPhase.UP):
             self._post(MessageKind.BYE, b"")
-            self.state = State.CLOSING
+            self.state = LinkPhase.CLOSING
             self._maybe_closed()
 
     def _wait_with(self, kind: MessageKind, count: int, payload: bytes) -> None:
@@ -190,10 +190,16 @@ class Link:
         self.most_waiting_bytes = max(self.most_waiting_bytes, self._waiting_bytes)
 
     def _may_send_data(self) -> bool:
-        return self.state == State.UP and self._book[DATA_SENT] - self._book[CREDIT] < WINDOW
+        return self.state == LinkPhase.UP and self._book[LINK_DATA_SENT] - self._book[CREDIT] < WINDOW
 
     def _header(self, kind: MessageKind, count: int) -> tuple[int, int, int, int, int]:
-        return (int(kind), self.epoch, self._book[SENT] & 0xFFFFFFFF, self._book[DATA_DONE] & 0xFFFFFFFF, count)
+        return (
+            int(kind),
+            self.epoch,
+            self._book[LINK_SENT] & 0xFFFFFFFF,
+            self._book[LINK_DATA_DONE] & 0xFFFFFFFF,
+            count,
+        )
 
     def _post(self, kind: MessageKind, payload: bytes) -> None:
         if self.urgent or not self._send_now(kind, 0, payload):
@@ -207,9 +213,9 @@ class Link:
         return True
 
     def _count_sent(self, size: int, data: bool) -> None:
-        self._book[SENT] += 1
-        self._book[DATA_SENT] += data
-        self._book[DATA_DONE_TOLD] = self._book[DATA_DONE]
+        self._book[LINK_SENT] += 1
+        self._book[LINK_DATA_SENT] += data
+        self._book[LINK_DATA_TOLD] = self._book[LINK_DATA_DONE]
         self._book[MESSAGES_SENT] += 1
         self._book[BYTES_SENT] += size
 
@@ -221,7 +227,7 @@ class Link:
         The link deals with HELLO, ACK, CREDIT, BYE and BYE_ACK itself; a message of another epoch is
         counted and dropped.
         """
-        while self.state != State.CLOSED:
+        while self.state != LinkPhase.CLOSED:
             message = self.channel.receive()
             if message is None:
                 return None
@@ -241,18 +247,18 @@ class Link:
         return None
 
     def _check_order(self, sequence: int, kind: MessageKind) -> None:
-        if sequence != self._book[RECEIVED] & 0xFFFFFFFF:
+        if sequence != self._book[LINK_RECEIVED] & 0xFFFFFFFF:
             raise ProtocolError(
-                f"link {self.name}: message {sequence} ({kind.name}) came, wanted {self._book[RECEIVED]}: "
+                f"link {self.name}: message {sequence} ({kind.name}) came, wanted {self._book[LINK_RECEIVED]}: "
                 "messages were lost, doubled or out of order"
             )
-        self._book[RECEIVED] += 1
+        self._book[LINK_RECEIVED] += 1
 
     def _take_credit(self, credit: int) -> None:
         gained = (credit - self._book[CREDIT]) & 0xFFFFFFFF
-        if gained > self._book[DATA_SENT] - self._book[CREDIT]:
+        if gained > self._book[LINK_DATA_SENT] - self._book[CREDIT]:
             raise ProtocolError(
-                f"link {self.name}: the peer says it has processed {credit} messages, {self._book[DATA_SENT]} were sent"
+                f"link {self.name}: the peer says it has processed {credit} messages, {self._book[LINK_DATA_SENT]} were sent"
             )
         if gained:
             self._book[CREDIT] += gained
@@ -260,7 +266,7 @@ class Link:
 
     def _is_for_link(self, kind: MessageKind, message: bytes) -> bool:
         """Deal with the link's own messages; False for all others."""
-        if kind in IS_DATA and self.state is not State.NEW and not self._bye_heard:
+        if kind in IS_DATA and self.state is not LinkPhase.NEW and not self._bye_heard:
             return False
         self._check_turn(kind)
         if kind is MessageKind.HELLO:
@@ -276,8 +282,8 @@ class Link:
             self._maybe_closed()
         elif kind is not MessageKind.CREDIT:
             return False
-        if self.state == State.NEW and self._heard and self._acknowledged:
-            self.state = State.UP
+        if self.state == LinkPhase.NEW and self._heard and self._acknowledged:
+            self.state = LinkPhase.UP
             self.push()
         return True
 
@@ -291,7 +297,7 @@ class Link:
         elif kind is MessageKind.ACK:
             wrong = "a second time" if self._acknowledged else ""
         elif kind is MessageKind.BYE_ACK:
-            wrong = "" if self.state is State.CLOSING and not self._bye_answered else "without a BYE to answer"
+            wrong = "" if self.state is LinkPhase.CLOSING and not self._bye_answered else "without a BYE to answer"
         elif self._bye_heard:
             wrong = "after BYE"
         elif kind in IS_DATA and not self._acknowledged:
@@ -310,7 +316,7 @@ class Link:
 
     def _maybe_closed(self) -> None:
         if self._bye_heard and self._bye_answered and not self.urgent:
-            self.state = State.CLOSED
+            self.state = LinkPhase.CLOSED
 
     def keep_book(self, row: NDArray[np.int64]) -> None:
         """Keep the book in this row, int64 (BOOK,), from now on."""
@@ -320,7 +326,7 @@ class Link:
     @property
     def regular(self) -> bool:
         """Whether packets may come and go, and nothing waits to be sent: then compiled code may serve the link."""
-        return self.state is State.UP and not (self._bye_heard or self.queued or self.urgent)
+        return self.state is LinkPhase.UP and not (self._bye_heard or self.queued or self.urgent)
 
     @property
     def messages_sent(self) -> int:
@@ -335,22 +341,22 @@ class Link:
     @property
     def data_sent(self) -> int:
         """Messages with packets or surfaces that were sent so far."""
-        return self._book[DATA_SENT]
+        return self._book[LINK_DATA_SENT]
 
     @property
     def data_done(self) -> int:
         """Messages with packets or surfaces from the peer that were processed so far."""
-        return self._book[DATA_DONE]
+        return self._book[LINK_DATA_DONE]
 
     @property
     def sent(self) -> int:
         """Messages that were sent so far, and so the sequence number of the next one."""
-        return self._book[SENT]
+        return self._book[LINK_SENT]
 
     @property
     def received(self) -> int:
         """Messages that came so far."""
-        return self._book[RECEIVED]
+        return self._book[LINK_RECEIVED]
 
     @property
     def peer_left(self) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 
 
-class MemoryPair:
+class MemoryChannel:
     """One end of a channel in memory."""
 
     def __init__(self, outgoing: deque[bytes], incoming: deque[bytes], room: int) -> None:
@@ -28,8 +28,8 @@ class MemoryPair:
         self.closed = True
 
 
-def memory_pair(room: int = 128) -> tuple[MemoryPair, MemoryPair]:
+def memory_channels(room: int = 128) -> tuple[MemoryChannel, MemoryChannel]:
     """The two ends of a channel that holds `room` messages each way."""
     one: deque[bytes] = deque()
     two: deque[bytes] = deque()
-    return MemoryPair(one, two, room), MemoryPair(two, one, room)
+    return MemoryChannel(one, two, room), MemoryChannel(two, one, room)

@@ -19,20 +19,35 @@ import zmq
 from numpy.typing import NDArray
 
 # places in the table of addresses
-INITIALIZE, RECEIVE, DATA, LENGTH, MORE, CLOSE, SEND, POLL, ERROR, CHECKSUM, MESSAGE, AGAIN, SLEEP, CLOCK = range(14)
+(
+    ZMQ_INITIALIZE,
+    ZMQ_RECEIVE,
+    ZMQ_DATA,
+    ZMQ_LENGTH,
+    ZMQ_MORE,
+    ZMQ_CLOSE,
+    ZMQ_SEND,
+    ZMQ_POLL,
+    ZMQ_ERROR,
+    HASH,
+    MESSAGE,
+    ZMQ_AGAIN,
+    SLEEP,
+    CLOCK,
+) = range(14)
 ADDRESSES = 14
 MESSAGE_WORDS = 8  # of a zmq_msg_t, which has 64 bytes and wants to begin at a multiple of 8
 
 _FROM_ZEROMQ = {
-    INITIALIZE: "zmq_msg_init",
-    RECEIVE: "zmq_msg_recv",
-    DATA: "zmq_msg_data",
-    LENGTH: "zmq_msg_size",
-    MORE: "zmq_msg_more",
-    CLOSE: "zmq_msg_close",
-    SEND: "zmq_send",
-    POLL: "zmq_poll",
-    ERROR: "zmq_errno",
+    ZMQ_INITIALIZE: "zmq_msg_init",
+    ZMQ_RECEIVE: "zmq_msg_recv",
+    ZMQ_DATA: "zmq_msg_data",
+    ZMQ_LENGTH: "zmq_msg_size",
+    ZMQ_MORE: "zmq_msg_more",
+    ZMQ_CLOSE: "zmq_msg_close",
+    ZMQ_SEND: "zmq_send",
+    ZMQ_POLL: "zmq_poll",
+    ZMQ_ERROR: "zmq_errno",
 }
 # the first also looks which instructions the processor has, where it can (x86)
 _CHECKSUMS = ("XXH3_64bits_withSeed_dispatch", "XXH3_64bits_withSeed")
@@ -75,12 +90,12 @@ def _look_for_functions() -> tuple[NDArray[np.int64] | None, str | None]:
             table[place] = _address_of(library, name)
         library = _library_of("xxhash._xxhash")
         names = [name for name in _CHECKSUMS if hasattr(library, name)]
-        table[CHECKSUM] = _address_of(library, names[0])
+        table[HASH] = _address_of(library, names[0])
         table[SLEEP], table[CLOCK] = (_address_of(ctypes.CDLL(None), name) for name in (_SLEEP, _CLOCK))
     except (ImportError, AttributeError, IndexError, OSError) as error:
         missing = "no checksum of xxhash" if isinstance(error, IndexError) else str(error)
         return None, f"a C function of pyzmq or xxhash cannot be found: {missing}"
-    table[AGAIN] = int(zmq.EAGAIN)
+    table[ZMQ_AGAIN] = int(zmq.EAGAIN)
     return table, None
 
 
@@ -94,7 +109,7 @@ def poll_items(sockets: Iterable[int], descriptors: Iterable[int]) -> NDArray[np
     return np.array(rows, np.int64).reshape(-1, 2)
 
 
-class Message:
+class ReceivedMessage:
     """Room for one message of ZeroMQ, into which compiled code receives; Python can read what it left there."""
 
     def __init__(self, table: NDArray[np.int64]) -> None:
@@ -102,11 +117,11 @@ class Message:
         table[MESSAGE] = self._words.ctypes.data
         self._place = ctypes.c_void_p(self._words.ctypes.data)
         prototype = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)
-        self._data = prototype(int(table[DATA]))
-        self._length = ctypes.CFUNCTYPE(ctypes.c_size_t, ctypes.c_void_p)(int(table[LENGTH]))
+        self._data = prototype(int(table[ZMQ_DATA]))
+        self._length = ctypes.CFUNCTYPE(ctypes.c_size_t, ctypes.c_void_p)(int(table[ZMQ_LENGTH]))
         number = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)
-        self._more, self._close = number(int(table[MORE])), number(int(table[CLOSE]))
-        number(int(table[INITIALIZE]))(self._place)
+        self._more, self._close = number(int(table[ZMQ_MORE])), number(int(table[ZMQ_CLOSE]))
+        number(int(table[ZMQ_INITIALIZE]))(self._place)
 
     def copy(self) -> bytes:
         """The bytes of the message that was received last."""

@@ -16,7 +16,7 @@ NOBLOCK, EVENTS, POLLIN, RCVMORE = int(zmq.NOBLOCK), int(zmq.EVENTS), int(zmq.PO
 RECONNECT_MS = 2  # the connecting end may be there before the binding one
 
 
-class Pair:
+class ZmqChannel:
     """A PAIR socket that carries whole messages (see `node.links.link.Channel`)."""
 
     def __init__(self, context: zmq.Context[zmq.Socket[bytes]], endpoint: str, bind: bool) -> None:

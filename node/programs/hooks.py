@@ -23,12 +23,12 @@ from raygrid.node.jit.decorators import part
 from raygrid.node.protocol.frame_tables import RULE, RULE_NUMBER
 from raygrid.node.tracing.shading import light_discs, unit
 from raygrid.node.tracing.shading import normals as plain_normals
-from raygrid.node.tracing.step import _bear_shadows as plain_shadows
+from raygrid.node.tracing.step import _spawn_shadows as plain_shadows
 from raygrid.node.tracing.traverse import _meet as plain_meet
 
 KIND = int(AddedKind.PROGRAMMED)
 BRIGHTEST = 1e6  # of a tint or background
-EDGE = 1.0 + 1e-9  # of the box, for rounding: far below lattice.SLACK
+TINT_LIMIT = 1.0 + 1e-9  # of the box, for rounding: far below lattice.SLACK
 
 
 # --- the program's -----------------------------------------------------------------------------------------
@@ -108,9 +108,9 @@ def _meet_own(table, row, o, d, lower):
     for k in range(4):
         s = hits[k]
         inside = (
-            abs(middle[0] + s * way[0]) <= table[row, OWN_BOX] * EDGE
-            and abs(middle[1] + s * way[1]) <= table[row, OWN_BOX + 1] * EDGE
-            and abs(middle[2] + s * way[2]) <= table[row, OWN_BOX + 2] * EDGE
+            abs(middle[0] + s * way[0]) <= table[row, OWN_BOX] * TINT_LIMIT
+            and abs(middle[1] + s * way[1]) <= table[row, OWN_BOX + 1] * TINT_LIMIT
+            and abs(middle[2] + s * way[2]) <= table[row, OWN_BOX + 2] * TINT_LIMIT
         )
         t = (s + shift) * scale
         if inside and t >= lower and t < best:
@@ -154,7 +154,7 @@ def _sound(value):
 
 
 @part
-def _bear_shadows(cell, space, frame, material, depth, sample, p, g, n, mirror, weight, outputs, counts):
+def _spawn_shadows(cell, space, frame, material, depth, sample, p, g, n, mirror, weight, outputs, counts):
     m = frame.materials
     if m.shape[1] > RULE and m[material, RULE] > 0.0:
         colour = tint(p, n, _numbers(m, material, RULE_NUMBER))

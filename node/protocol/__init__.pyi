@@ -1,4 +1,4 @@
-from .codec import Limits as Limits
+from .codec import MapLimits as MapLimits
 from .codec import read_map as read_map
 from .commands import MAX_SIDE as MAX_SIDE
 from .commands import frame_order as frame_order
@@ -12,10 +12,10 @@ from .counters import HOMES as HOMES
 from .counters import SENT as SENT
 from .counters import TESTS as TESTS
 from .counters import WALKS as WALKS
-from .frame import CAMERA as CAMERA
+from .frame import CAMERA_RECORD as CAMERA_RECORD
 from .frame import DIRECTIONAL as DIRECTIONAL
-from .frame import LIGHT as LIGHT
-from .frame import MATERIAL as MATERIAL
+from .frame import LIGHT_RECORD as LIGHT_RECORD
+from .frame import MATERIAL_RECORD as MATERIAL_RECORD
 from .frame import POINT as POINT
 from .frame_tables import IOR as IOR
 from .frame_tables import LIGHT_COLUMNS as LIGHT_COLUMNS
@@ -52,6 +52,6 @@ from .packets import read_u24 as read_u24
 from .packets import read_u32 as read_u32
 from .packets import unit_vector as unit_vector
 from .packets import unpack_weight as unpack_weight
-from .timestamps import NEVER as NEVER
+from .timestamps import NEVER_TICK as NEVER_TICK
 from .timestamps import Prices as Prices
 from .timestamps import prices_order as prices_order

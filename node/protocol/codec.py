@@ -8,12 +8,12 @@ import msgpack
 
 from raygrid.node.errors import ProtocolError
 
-MOST_ITEMS = 1 << 16  # entries of any list or map
+MOST_MAP_ITEMS = 1 << 16  # entries of any list or map
 DEEPEST = 8  # lists and maps in each other
 LONGEST_REASON = 200  # characters of what msgpack says
 
 
-class Limits(NamedTuple):
+class MapLimits(NamedTuple):
     """What a map may be.
 
     most_items   entries of any list or map
@@ -21,12 +21,12 @@ class Limits(NamedTuple):
     most_bytes   length of a string of bytes; -1: as long as the map
     """
 
-    most_items: int = MOST_ITEMS
+    most_items: int = MOST_MAP_ITEMS
     deepest: int = DEEPEST
     most_bytes: int = -1
 
 
-LIMITS = Limits()
+LIMITS = MapLimits()
 
 
 def pack_map(value: dict[str, Any]) -> bytes:
@@ -35,7 +35,7 @@ def pack_map(value: dict[str, Any]) -> bytes:
     return packed
 
 
-def read_map(data: bytes | bytearray | memoryview, what: str, limits: Limits = LIMITS) -> dict[str, Any]:
+def read_map(data: bytes | bytearray | memoryview, what: str, limits: MapLimits = LIMITS) -> dict[str, Any]:
     """The map that these bytes are. Raises ProtocolError unless it is one, with string keys all the way down.
 
     what    how to call it in an error: "an order"
@@ -59,7 +59,7 @@ def read_map(data: bytes | bytearray | memoryview, what: str, limits: Limits = L
     return value
 
 
-def _check_tree(value: dict[str, Any] | list[Any], deeper: int, limits: Limits, what: str) -> None:
+def _check_tree(value: dict[str, Any] | list[Any], deeper: int, limits: MapLimits, what: str) -> None:
     """Raise ProtocolError for keys that are no strings, and for lists and maps nested too deep to be handed on."""
     if deeper == 0:
         raise ProtocolError(f"{what} came with lists and maps deeper than {limits.deepest}")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-MATERIAL = np.dtype(
+MATERIAL_RECORD = np.dtype(
     [
         ("diffuse", "<f8", 3),  # Kd times the surface's colour
         ("highlight", "<f8", 3),  # weight of the Phong highlight, 0 for none
@@ -21,7 +21,7 @@ MATERIAL = np.dtype(
 )
 
 DIRECTIONAL, POINT = 0, 1
-LIGHT = np.dtype(
+LIGHT_RECORD = np.dtype(
     [
         ("kind", "<i8"),  # DIRECTIONAL or POINT
         ("place", "<f8", 3),  # point: position; directional: unit vector towards the light
@@ -36,7 +36,7 @@ LIGHT = np.dtype(
     ]
 )
 
-CAMERA = np.dtype(
+CAMERA_RECORD = np.dtype(
     [
         # A ray through the image point (i, j), pixel centres at whole numbers, (0, 0) top left, starts at
         # eye + i eye_di + j eye_dj and runs along base + i base_di + j base_dj (perspective: eye_d* = 0).

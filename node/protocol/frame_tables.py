@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.node.geometry.surfaces import NUMBERS
-from raygrid.node.protocol.frame import LIGHT, MATERIAL
-from raygrid.node.protocol.packets import MAX_LIGHTS, Limits
+from raygrid.node.protocol.frame import LIGHT_RECORD, MATERIAL_RECORD
+from raygrid.node.protocol.packets import MAX_LIGHTS, PacketLimits
 
 F64 = NDArray[np.float64]
 
@@ -17,7 +17,7 @@ F64 = NDArray[np.float64]
 DIFFUSE, HIGHLIGHT, SHINE, SPECULAR, TRANSMISSION, IOR, MATERIAL_COLUMNS = 0, 3, 6, 7, 10, 13, 14
 RULE, RULE_NUMBER, RULE_COLUMNS = MATERIAL_COLUMNS, MATERIAL_COLUMNS + 1, 1 + NUMBERS
 # columns of Frame.lights
-LIGHT_KIND, PLACE, INTENSITY, FALLOFF, SPOT, AXIS = 0, 1, 4, 7, 8, 9
+LIGHT_KIND, LIGHT_PLACE, LIGHT_INTENSITY, LIGHT_FALLOFF, LIGHT_SPOT, LIGHT_AXIS = 0, 1, 4, 7, 8, 9
 COS_INNER, COS_OUTER, COS_DISC, DISC = 12, 13, 14, 15
 LIGHT_COLUMNS = 18
 
@@ -49,18 +49,20 @@ class Frame(NamedTuple):
 
 
 def material_table(materials: NDArray[Any]) -> F64:
-    """MATERIAL records as plain columns."""
-    return np.column_stack([materials[name].reshape(len(materials), -1) for name in MATERIAL.names or ()])
+    """MATERIAL_RECORD records as plain columns."""
+    return np.column_stack([materials[name].reshape(len(materials), -1) for name in MATERIAL_RECORD.names or ()])
 
 
 def light_table(lights: NDArray[Any]) -> F64:
-    """LIGHT records as plain columns; one unused row if there are none."""
+    """LIGHT_RECORD records as plain columns; one unused row if there are none."""
     if len(lights) == 0:
         return np.zeros((1, LIGHT_COLUMNS))
-    return np.column_stack([lights[name].reshape(len(lights), -1).astype(np.float64) for name in LIGHT.names or ()])
+    return np.column_stack(
+        [lights[name].reshape(len(lights), -1).astype(np.float64) for name in LIGHT_RECORD.names or ()]
+    )
 
 
-def frame_limits(frame: Frame, shape: tuple[int, int, int]) -> Limits:
+def frame_limits(frame: Frame, shape: tuple[int, int, int]) -> PacketLimits:
     """What packets of this frame may name."""
     pixels = frame.width * frame.height
-    return Limits(pixels * frame.samples, pixels, min(frame.n_lights, MAX_LIGHTS), frame.depth, shape)
+    return PacketLimits(pixels * frame.samples, pixels, min(frame.n_lights, MAX_LIGHTS), frame.depth, shape)

@@ -36,9 +36,9 @@ WINDOW = 32  # PACKETS and SURFACES messages under way on one direction of a lin
 HEAD = 20  # bytes of a header, kept free at the head of every output
 HEADER = struct.Struct("<BBHIIII")
 SUMMED = 16  # bytes of the header before the checksum
-CHECKSUM = struct.Struct("<I")
+CHECKSUM_FIELD = struct.Struct("<I")
 SURFACE_HEADER = struct.Struct("<BBHII")  # corner, kind, zero, surfaces, points of polygons
-assert HEADER.size == HEAD == SUMMED + CHECKSUM.size
+assert HEADER.size == HEAD == SUMMED + CHECKSUM_FIELD.size
 
 
 class MessageKind(IntEnum):
@@ -77,17 +77,17 @@ def pack_message(kind: int, epoch: int, sequence: int, credit: int, count: int, 
     """A whole message."""
     head = HEADER.pack(kind, 0, epoch, sequence, credit, count, 0)[:SUMMED]
     checksum = xxh3_64_intdigest(payload, xxh3_64_intdigest(head)) & 0xFFFFFFFF
-    return head + CHECKSUM.pack(checksum) + payload
+    return head + CHECKSUM_FIELD.pack(checksum) + payload
 
 
 def seal(message: bytearray | memoryview) -> None:
     """Write the checksum into a message of HEAD bytes or more."""
-    CHECKSUM.pack_into(message, SUMMED, _checksum(message))
+    CHECKSUM_FIELD.pack_into(message, SUMMED, _checksum(message))
 
 
 def is_whole(message: bytes) -> bool:
     """Whether a message of HEAD bytes or more has the checksum that it says."""
-    return bool(CHECKSUM.unpack_from(message, SUMMED)[0] == _checksum(message))
+    return bool(CHECKSUM_FIELD.unpack_from(message, SUMMED)[0] == _checksum(message))
 
 
 def _checksum(message: bytes | bytearray | memoryview) -> int:

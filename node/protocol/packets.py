@@ -75,7 +75,7 @@ LARGEST_SHADOW_WEIGHT = np.uint32(0x7F7FFF80)  # bits of the largest weight that
 U8 = NDArray[np.uint8]
 
 
-class Limits(NamedTuple):
+class PacketLimits(NamedTuple):
     """What a packet of this frame may name; `check` refuses the rest."""
 
     samples: int  # sample numbers are below this
@@ -457,7 +457,7 @@ class Packet(NamedTuple):
     samples: int | None = None
 
 
-def check(data: bytes, limits: Limits) -> None:
+def check(data: bytes, limits: PacketLimits) -> None:
     """Raise PacketError unless `data` is one packet of a frame with these limits. Never pads, never cuts."""
     if len(data) != SIZE:
         raise PacketError(f"a packet came with {len(data)} bytes, wanted {SIZE}")

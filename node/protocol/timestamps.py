@@ -1,7 +1,7 @@
 """What timed processes send beside the packets: ticks, promises and questions; and the cost model in a frame's order.
 
     STAMPED   frame u32, promise i64, ticks i64 each, then the packets of 25 bytes
-    ENQUIRY   frame u32, answer u8, origin 3 x u16, number u32, tick i64, promise i64
+    LOOKAHEAD   frame u32, answer u8, origin 3 x u16, number u32, tick i64, promise i64
 
 promise   nothing that is sent on this link after this message arrives before this tick
 answer    ASK, YES or NO (`node.timed.lookahead`); origin, number and tick are those of the question
@@ -25,11 +25,11 @@ from raygrid.node.protocol.messages import HEAD
 from raygrid.node.protocol.packets import SIZE
 
 STAMP = struct.Struct("<Iq")
-ENQUIRY = struct.Struct("<IBHHHIqq")
+LOOKAHEAD = struct.Struct("<IBHHHIqq")
 Long = NDArray[np.int64]
 MOST_TICKS = 10**12  # of one price; no sum of them leaves 64 bits
-NEVER = np.int64(1) << 62  # later than any tick
-LAST = int(NEVER)
+NEVER_TICK = np.int64(1) << 62  # later than any tick
+LAST_TICK = int(NEVER_TICK)
 ASK, YES, NO = 0, 1, 2
 
 
@@ -64,8 +64,8 @@ class Stamped(NamedTuple):
     at: int
 
 
-class Enquiry(NamedTuple):
-    """A decoded ENQUIRY message."""
+class LookaheadRequest(NamedTuple):
+    """A decoded LOOKAHEAD message."""
 
     frame: int
     answer: int
@@ -89,24 +89,24 @@ def read_stamped(message: bytes, count: int) -> Stamped:
         )
     frame, promise = STAMP.unpack_from(message, HEAD)
     ticks = np.frombuffer(message, "<i8", count, HEAD + STAMP.size).astype(np.int64)
-    if not 0 <= promise <= LAST or np.any(np.diff(ticks) < 0) or ticks[0] < 0 or ticks[-1] >= LAST:
+    if not 0 <= promise <= LAST_TICK or np.any(np.diff(ticks) < 0) or ticks[0] < 0 or ticks[-1] >= LAST_TICK:
         raise ProtocolError(f"{count} packets came with the promise {promise} and ticks that do not ascend from 0")
     return Stamped(frame, promise, ticks, HEAD + STAMP.size + 8 * count)
 
 
-def pack_enquiry(enquiry: Enquiry) -> bytes:
-    """The payload of an ENQUIRY message."""
-    return ENQUIRY.pack(enquiry.frame, enquiry.answer, *enquiry.origin, *enquiry[3:])
+def pack_lookahead(enquiry: LookaheadRequest) -> bytes:
+    """The payload of an LOOKAHEAD message."""
+    return LOOKAHEAD.pack(enquiry.frame, enquiry.answer, *enquiry.origin, *enquiry[3:])
 
 
-def read_enquiry(message: bytes) -> Enquiry:
-    """Decode an ENQUIRY message. Raises ProtocolError."""
-    if len(message) != HEAD + ENQUIRY.size:
-        raise ProtocolError(f"an enquiry came with {len(message) - HEAD} bytes, wanted {ENQUIRY.size}")
-    frame, answer, x, y, z, number, tick, promise = ENQUIRY.unpack_from(message, HEAD)
-    if answer > NO or not (0 <= tick <= LAST and 0 <= promise <= LAST):
+def read_lookahead(message: bytes) -> LookaheadRequest:
+    """Decode an LOOKAHEAD message. Raises ProtocolError."""
+    if len(message) != HEAD + LOOKAHEAD.size:
+        raise ProtocolError(f"an enquiry came with {len(message) - HEAD} bytes, wanted {LOOKAHEAD.size}")
+    frame, answer, x, y, z, number, tick, promise = LOOKAHEAD.unpack_from(message, HEAD)
+    if answer > NO or not (0 <= tick <= LAST_TICK and 0 <= promise <= LAST_TICK):
         raise ProtocolError(f"an enquiry came with answer {answer}, tick {tick} and promise {promise}")
-    return Enquiry(frame, answer, (x, y, z), number, tick, promise)
+    return LookaheadRequest(frame, answer, (x, y, z), number, tick, promise)
 
 
 def prices_order(prices: Prices, tests: Long) -> dict[str, Any]:

@@ -37,14 +37,14 @@ MOVED = 8  # in the place of the corner (0 to 7) in a message of surfaces: hande
 MESSAGE_BYTES = 1 << 16  # of descriptions in a message
 
 
-class Way(NamedTuple):
+class Path(NamedTuple):
     """Descriptions at rest that go to the neighbour at a port."""
 
     port: int
     batch: Batch
 
 
-class Step(NamedTuple):
+class IncrementStep(NamedTuple):
     """Surfaces at rest, where they were, where they are, and the boxes of the latter."""
 
     rest: Batch
@@ -52,9 +52,9 @@ class Step(NamedTuple):
     now: Batch
     boxes: F64
 
-    def select(self, rows: NDArray[Any]) -> Step:
+    def select(self, rows: NDArray[Any]) -> IncrementStep:
         """The chosen rows."""
-        return Step(self.rest.select(rows), self.before.select(rows), self.now.select(rows), self.boxes[rows])
+        return IncrementStep(self.rest.select(rows), self.before.select(rows), self.now.select(rows), self.boxes[rows])
 
 
 class Increments:
@@ -66,9 +66,9 @@ class Increments:
 
     def __init__(self) -> None:
         self.moves: Moves | None = None
-        self.pending: deque[Way] = deque()
+        self.pending: deque[Path] = deque()
         self._before: Moves | None = None
-        self._waiting: list[Way] = []
+        self._waiting: list[Path] = []
         self._branches: dict[Index, list[tuple[Branch, Cell]]] = {}
 
     def forget(self) -> None:
@@ -99,7 +99,7 @@ class Increments:
         moves = read_move(order, self.moves)
         changed = (moves.motions != self.moves.motions).any(axis=1)
         low, high = np.array(cell.low_at), np.array(cell.high_at)
-        waiting: list[Way] = []
+        waiting: list[Path] = []
         kept, touched = [], False
         for batch in retained:
             moving = moves.groups.among(batch.ids, changed)
@@ -108,7 +108,7 @@ class Increments:
                 continue
             rest, touched = batch.select(moving), True
             now = placed(rest, moves)
-            step = Step(rest, placed(rest, self.moves), now, now.bounds())
+            step = IncrementStep(rest, placed(rest, self.moves), now, now.bounds())
             check_inside(space, step.now, step.boxes)
             stays = np.ones(len(batch), np.bool_)
             stays[moving] = meets(step.now, low, high, step.boxes)
@@ -121,28 +121,30 @@ class Increments:
         """Begin to hand on; returns how many descriptions that will be."""
         waiting, self._waiting = self._waiting, []
         for way in waiting:
-            self.pending.extend(Way(way.port, piece) for piece in pieces(way.batch))
+            self.pending.extend(Path(way.port, piece) for piece in pieces(way.batch))
         return sum(len(way.batch) for way in waiting)
 
-    def relay(self, rest: Batch, now: Batch, boxes: F64, space: Space, cell: Cell) -> list[Way]:
+    def relay(self, rest: Batch, now: Batch, boxes: F64, space: Space, cell: Cell) -> list[Path]:
         """To whom descriptions go on that came from a neighbour after a motion. Raises ProtocolError."""
         if self._before is None:
             raise ProtocolError("surfaces came as moved, and none has moved yet")
-        return self._ways(Step(rest, placed(rest, self._before), now, boxes), space, cell)
+        return self._ways(IncrementStep(rest, placed(rest, self._before), now, boxes), space, cell)
 
-    def _ways(self, step: Step, space: Space, cell: Cell) -> list[Way]:
+    def _ways(self, step: IncrementStep, space: Space, cell: Cell) -> list[Path]:
         owners = cells_of(anchors(step.before), space)
         # what neither came from nor reaches beyond this cell concerns nobody else; mostly that is all
-        inner = (step.boxes[:, 0] > np.array(cell.low_at) + EDGE) & (step.boxes[:, 1] < np.array(cell.high_at) - EDGE)
+        inner = (step.boxes[:, 0] > np.array(cell.low_at) + WORLD_EDGE) & (
+            step.boxes[:, 1] < np.array(cell.high_at) - WORLD_EDGE
+        )
         rows = np.flatnonzero(~inner.all(axis=1))
-        found: list[Way] = []
+        found: list[Path] = []
         for owner in np.unique(owners[rows], axis=0).tolist():
             mine = step.select(rows[(owners[rows] == owner).all(axis=1)])
             for branch, child in self._tree(tuple(owner), space, cell):
                 reached = np.flatnonzero(meets(mine.now, branch.low, branch.high, mine.boxes))
                 held = meets(mine.before.select(reached), np.array(child.low_at), np.array(child.high_at))
                 if not held.all():
-                    found.append(Way(branch.port, mine.rest.select(reached[~held])))
+                    found.append(Path(branch.port, mine.rest.select(reached[~held])))
         return found
 
     def _tree(self, owner: Index, space: Space, cell: Cell) -> list[tuple[Branch, Cell]]:
@@ -157,7 +159,7 @@ class Increments:
         return self._branches[owner]
 
 
-EDGE = 2.0**-16  # twice lattice.SLACK: so far inside a cell, a surface comes near no other
+WORLD_EDGE = 2.0**-16  # twice lattice.SLACK: so far inside a cell, a surface comes near no other
 
 
 def tree_ports(owner: Index, shape: Index, index: Index) -> list[int]:

@@ -8,13 +8,13 @@ import numpy as np
 
 from raygrid.node.links import zmq_c_api
 from raygrid.node.links.link import REGULAR, SOCKET, Link
-from raygrid.node.links.zmq_channel import Pair
-from raygrid.node.runtime.event_loop import OTHER
-from raygrid.node.runtime.native_links import TIMED, no_wires
-from raygrid.node.runtime.reduction import CHILDREN, OCCUPIED, PARENT, SERVED, Tally
+from raygrid.node.links.zmq_channel import ZmqChannel
+from raygrid.node.runtime.event_loop import PYTHON_RECEIVES
+from raygrid.node.runtime.native_links import TIMED, no_native_links
+from raygrid.node.runtime.reduction import CHILD_PORTS, COMPILED_SERVES, PARENT_PORT, PYTHON_BUSY, Reduction
 
 
-class Wired:
+class NativeLinkTable:
     """Links over PAIR sockets of this process.
 
     wires   their tables, for `rounds.go`
@@ -23,8 +23,8 @@ class Wired:
     def __init__(
         self,
         links: Mapping[int, Link],
-        pairs: Mapping[int, Pair],
-        tally: Tally,
+        pairs: Mapping[int, ZmqChannel],
+        tally: Reduction,
         others: Iterable[int] = (),
         timed: bool = False,
     ) -> None:
@@ -32,16 +32,16 @@ class Wired:
 
         tally  of the node; others  descriptors for which a node waits as well; timed  let the rounds be timed
         """
-        self.wires = no_wires(tally)
+        self.wires = no_native_links(tally)
         self._links: dict[int, Link] = {}
         self._pairs = pairs
-        self._message: zmq_c_api.Message | None = None
+        self._message: zmq_c_api.ReceivedMessage | None = None
         calls = zmq_c_api.find_functions()
         if calls is None:
             return
         self.wires.calls[:] = calls
         self.wires.spent[TIMED] = timed
-        self._message = zmq_c_api.Message(self.wires.calls)
+        self._message = zmq_c_api.ReceivedMessage(self.wires.calls)
         for port, link in links.items():
             if link.channel is pairs.get(port):
                 link.keep_book(self.wires.books[port])
@@ -56,24 +56,24 @@ class Wired:
     def begin(self, tallies: bool, occupied: bool) -> None:
         """Before rounds: mark the links that are regular, and whether compiled code may take care of tallies.
 
-        tallies   whether Python leaves them to it, if their links are regular; occupied  as in `Tally`
+        tallies   whether Python leaves them to it, if their links are regular; occupied  as in `Reduction`
         """
         regular = 0
         for port, link in self._links.items():
             self.wires.books[port, REGULAR] = link.regular
             regular |= link.regular << port
         state = self.wires.tally.state
-        wanted = int(state[CHILDREN]) | 1 << int(state[PARENT])
-        state[SERVED], state[OCCUPIED] = tallies and regular & wanted == wanted, occupied
+        wanted = int(state[CHILD_PORTS]) | 1 << int(state[PARENT_PORT])
+        state[COMPILED_SERVES], state[PYTHON_BUSY] = tallies and regular & wanted == wanted, occupied
 
     def end(self, why: int) -> int | None:
         """After rounds that ended for this reason: the port of a link of which Python must receive, if there is one."""
         for link in self._links.values():
             link.grant(0)  # credit that could not be told
-        if why < OTHER:
+        if why < PYTHON_RECEIVES:
             return None
         assert self._message is not None
-        port = why - OTHER
+        port = why - PYTHON_RECEIVES
         self._pairs[port].put_back(self._message.copy(), self._message.has_more)
         return port
 

@@ -1,6 +1,6 @@
 """What compiled code needs to serve links (`node.runtime.event_loop`): their books, the functions that it calls, and how it posts.
 
-A link's book (`node.links.link`) is a row of `Wires.books`, so that both keep the same accounts.
+A link's book (`node.links.link`) is a row of `NativeLinks.books`, so that both keep the same accounts.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
@@ -17,21 +17,30 @@ from raygrid.node.geometry.grid_walk import PORTS
 from raygrid.node.jit.decorators import part
 from raygrid.node.jit.intrinsics import address, call_int, call_long
 from raygrid.node.links import zmq_c_api
-from raygrid.node.links.link import BOOK, BYTES_SENT, DATA_DONE, DATA_DONE_TOLD, EPOCH, MESSAGES_SENT, SENT, SOCKET
+from raygrid.node.links.link import (
+    BYTES_SENT,
+    EPOCH,
+    LINK_DATA_DONE,
+    LINK_DATA_TOLD,
+    LINK_SENT,
+    LINK_STATE,
+    MESSAGES_SENT,
+    SOCKET,
+)
 from raygrid.node.links.zmq_channel import NOBLOCK
 from raygrid.node.protocol.messages import HEAD, SUMMED
 from raygrid.node.protocol.packets import write
-from raygrid.node.runtime.reduction import Tally, make_tally
+from raygrid.node.runtime.reduction import Reduction, make_reduction
 
 LINKS = PORTS + 1  # to neighbours and, of a corner, to the host
-# places in Wires.spent: nanoseconds of the parts of a round, room for what a clock says, whether rounds are timed
+# places in NativeLinks.spent: nanoseconds of the parts of a round, room for what a clock says, whether rounds are timed
 RECEIVING, TURNING, SENDING = 0, 1, 2
 SECONDS, NANOSECONDS, TIMED, SPENT = 3, 4, 5, 6
 MONOTONIC, OF_THREAD = 1, 3  # clocks of `clock_gettime`
 BILLION = 1_000_000_000
 
 
-class Wires(NamedTuple):
+class NativeLinks(NamedTuple):
     """What compiled code needs to serve links.
 
     books   int64 (LINKS, BOOK): the books of the links; those without a socket are left to Python
@@ -49,18 +58,18 @@ class Wires(NamedTuple):
     header: NDArray[np.uint8]
     items: NDArray[np.int64]
     ports: NDArray[np.int64]
-    tally: Tally
+    tally: Reduction
 
 
-def no_wires(tally: Tally | None = None) -> Wires:
+def no_native_links(tally: Reduction | None = None) -> NativeLinks:
     """Of a node whose links are served by Python alone."""
     books, calls, spent = (
-        np.zeros((LINKS, BOOK), np.int64),
+        np.zeros((LINKS, LINK_STATE), np.int64),
         np.zeros(zmq_c_api.ADDRESSES, np.int64),
         np.zeros(SPENT, np.int64),
     )
     nothing = np.zeros(HEAD, np.uint8), np.zeros((0, 2), np.int64), np.zeros(0, np.int64)
-    return Wires(books, calls, spent, *nothing, make_tally() if tally is None else tally)
+    return NativeLinks(books, calls, spent, *nothing, make_reduction() if tally is None else tally)
 
 
 @part
@@ -73,8 +82,8 @@ def clock(wires, which):
 @part
 def checksum(wires, first, size):
     """The checksum of a message (`node.protocol.messages`) from its first address on."""
-    seed = call_long(wires.calls[zmq_c_api.CHECKSUM], (first, np.int64(SUMMED), np.int64(0)))
-    return call_long(wires.calls[zmq_c_api.CHECKSUM], (first + HEAD, size - HEAD, seed)) & 0xFFFFFFFF
+    seed = call_long(wires.calls[zmq_c_api.HASH], (first, np.int64(SUMMED), np.int64(0)))
+    return call_long(wires.calls[zmq_c_api.HASH], (first + HEAD, size - HEAD, seed)) & 0xFFFFFFFF
 
 
 @part
@@ -82,15 +91,15 @@ def post(wires, book, kind, count, raw, at, size):
     """Write the header of a message of `size` bytes that begins at `at`, and send it; whether it went."""
     raw[at], raw[at + 1] = kind, 0
     write(raw, at + 2, book[EPOCH], 2)
-    write(raw, at + 4, book[SENT], 4)
-    write(raw, at + 8, book[DATA_DONE], 4)
+    write(raw, at + 4, book[LINK_SENT], 4)
+    write(raw, at + 8, book[LINK_DATA_DONE], 4)
     write(raw, at + 12, count, 4)
     first = address(raw, np.int64(at))
     write(raw, at + SUMMED, checksum(wires, first, size), 4)
-    if call_int(wires.calls[zmq_c_api.SEND], (book[SOCKET], first, size, np.int64(NOBLOCK))) < 0:
+    if call_int(wires.calls[zmq_c_api.ZMQ_SEND], (book[SOCKET], first, size, np.int64(NOBLOCK))) < 0:
         return False
-    book[SENT] += 1
-    book[DATA_DONE_TOLD] = book[DATA_DONE]
+    book[LINK_SENT] += 1
+    book[LINK_DATA_TOLD] = book[LINK_DATA_DONE]
     book[MESSAGES_SENT] += 1
     book[BYTES_SENT] += size
     return True

@@ -17,23 +17,34 @@ from raygrid.node.programs.programs import Compiled
 from raygrid.node.protocol.counters import BORN, COUNTS, DIED, SENT
 from raygrid.node.protocol.frame_tables import Frame, frame_limits
 from raygrid.node.protocol.messages import HEAD
-from raygrid.node.protocol.packets import PIXEL, SIZE, Limits
-from raygrid.node.runtime.event_loop import AFTER, AT_ONCE, BATCH, BELOW, FLUSH, PACE, RETURN, ROUNDS, WAIT, go
+from raygrid.node.protocol.packets import PIXEL, SIZE, PacketLimits
+from raygrid.node.runtime.event_loop import (
+    LOOP_PACKETS,
+    TUNE_AFTER,
+    TUNE_AT_ONCE,
+    TUNE_BATCH,
+    TUNE_BELOW,
+    TUNE_FLUSH,
+    TUNE_RETURN,
+    TUNE_WAIT,
+    TUNING,
+    run_loop,
+)
 from raygrid.node.runtime.increments import Increments
-from raygrid.node.runtime.native_links import no_wires
-from raygrid.node.tracing.batch import ADMIT_AT_ONCE, ADMIT_BELOW, CROWDED, IDLE, PORTION, TURN
+from raygrid.node.runtime.native_links import no_native_links
+from raygrid.node.tracing.batch import ADMIT_AT_ONCE, ADMIT_BELOW, BATCH_CROWDED, BATCH_IDLE, BATCH_RAYS, PORTION
 from raygrid.node.tracing.framebuffer import Pixels, make_pixels, send_pixels
 from raygrid.node.tracing.local_geometry import build_surfaces, empty_surfaces, refit_surfaces
 from raygrid.node.tracing.output_queues import clear, make_outputs
 from raygrid.node.tracing.primaries import DONE, new_cursor
-from raygrid.node.tracing.work_queues import Backlog
+from raygrid.node.tracing.work_queues import WorkQueues
 
 CHUNK = 8192  # pixel packets sent in a turn
 USUAL_FLUSH = 256  # packets for which an output is sent although there is work, unless the root says otherwise
-ROOM = 16384  # packets that an output holds
+OUTPUT_ROOM = 16384  # packets that an output holds
 
 
-class Tracer:
+class NodeState:
     """State of one node between two messages.
 
     counts     int64, see `node.geometry.surface_tables`: what the machine did for this frame
@@ -49,23 +60,23 @@ class Tracer:
         self.space: Space | None = None
         self.cell: Cell | None = None
         self.frame: Frame | None = None
-        self.limits: Limits | None = None
+        self.limits: PacketLimits | None = None
         self.retained: list[Batch] = []
         self.increments = Increments()
         self.program: Compiled | None = None
         self.ready: Compiled | None = None  # a program that is to be used next
-        self._go = go
-        self.wires = no_wires()
-        self.pace = np.zeros(PACE, np.int64)
-        self.pace[AFTER], self.pace[BELOW], self.pace[AT_ONCE] = TURN, ADMIT_BELOW, ADMIT_AT_ONCE
-        self.pace[FLUSH] = self.pace[BATCH] = USUAL_FLUSH
-        self.pace[RETURN] = ROUNDS
+        self._go = run_loop
+        self.wires = no_native_links()
+        self.pace = np.zeros(TUNING, np.int64)
+        self.pace[TUNE_AFTER], self.pace[TUNE_BELOW], self.pace[TUNE_AT_ONCE] = BATCH_RAYS, ADMIT_BELOW, ADMIT_AT_ONCE
+        self.pace[TUNE_FLUSH] = self.pace[TUNE_BATCH] = USUAL_FLUSH
+        self.pace[TUNE_RETURN] = LOOP_PACKETS
         self._stale = False  # whether what is retained has changed since the tables were made
         self._built_cost = 0.0  # expected cost of the hierarchy when it was built, 0: not worked out
         self.surfaces = empty_surfaces()
-        self.backlog = Backlog()
+        self.backlog = WorkQueues()
         self._crowded = False  # whether a stack had no room in the last turn
-        self.outputs = make_outputs(ROOM, DEPTH)
+        self.outputs = make_outputs(OUTPUT_ROOM, DEPTH)
         self.counts = np.zeros(COUNTS, np.int64)
         self.cursor = new_cursor(False)
         self.samples_left = False
@@ -126,7 +137,7 @@ class Tracer:
     def use_ready(self) -> None:
         """Let the program that is ready take the place of the one before; none: the step without a program."""
         self.program = self.ready
-        self._go = go if self.program is None else self.program.go
+        self._go = run_loop if self.program is None else self.program.go
 
     def check_known(self, batch: Batch) -> None:
         """Raise ProtocolError for programmed surfaces where no program says what they are."""
@@ -164,7 +175,7 @@ class Tracer:
         self.cursor = new_cursor(len(self.pixels.first) > 0)
         self.samples_left = len(self.pixels.first) > 0
         self.counts[:] = 0
-        room = max(ROOM, 2 * (frame.n_lights + 2))
+        room = max(OUTPUT_ROOM, 2 * (frame.n_lights + 2))
         if self.outputs.data.shape[1] != HEAD + room * SIZE:
             self.outputs = make_outputs(room, DEPTH)
 
@@ -182,12 +193,12 @@ class Tracer:
         Returns why the rounds ended.
         """
         if self.frame is None:
-            return IDLE
+            return BATCH_IDLE
         backlog = self.backlog
         if self._crowded:
             births = PORTION * max(self.frame.n_lights, 2)
             backlog.make_room(0, births, max(births, ADMIT_AT_ONCE))
-        self.pace[WAIT] = wait
+        self.pace[TUNE_WAIT] = wait
         self.quota, why = self._go(
             self.cell,
             self.space,
@@ -204,7 +215,7 @@ class Tracer:
             self.counts,
             self.wires,
         )
-        self._crowded = why == CROWDED
+        self._crowded = why == BATCH_CROWDED
         self.samples_left = self.samples_left and int(self.cursor[DONE]) == 0
         if self.collecting >= 0 and backlog.held == 0:
             self._send_pixels()

@@ -40,10 +40,10 @@ MEMORY_SECONDS = 5.0  # between two looks at memory, which take the kernel two m
 FASTEST = 100.0  # samples a second
 LOOKED_AT = 32_768  # packets of a queue; counting more would take a millisecond
 ARRIVALS = SELF + 1
-NEVER = float("inf")
+NEVER_DUE = float("inf")
 
 
-class Speaker(Protocol):
+class ProbeWriter(Protocol):
     """The node's end of its line."""
 
     dropped: int
@@ -60,19 +60,19 @@ def read_rate(order: dict[str, Any]) -> float:
     return float(rate)
 
 
-class Probe:
+class NodeProbe:
     """When a node is to speak, and what it says.
 
     due   moment of the next sample by `clock`; infinite while nobody wants any
     """
 
-    def __init__(self, line: Speaker, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, line: ProbeWriter, clock: Callable[[], float] = time.monotonic) -> None:
         self._line, self._clock = line, clock
         self._period = 0.0
         self._number = 0
         self._memory: dict[str, int] = {}
-        self._measured = -NEVER
-        self.due = NEVER
+        self._measured = -NEVER_DUE
+        self.due = NEVER_DUE
 
     @property
     def wanted(self) -> bool:
@@ -82,11 +82,11 @@ class Probe:
     def set_rate(self, rate: float) -> None:
         """Samples a second from now on, the first one at once; 0: none."""
         self._period = 1.0 / rate if rate else 0.0
-        self.due = self._clock() if rate else NEVER
+        self.due = self._clock() if rate else NEVER_DUE
 
     def patience(self, limit: float | None) -> float | None:
         """Seconds until the next sample is due, if that is sooner than a limit; None: no limit."""
-        if self.due == NEVER:
+        if self.due == NEVER_DUE:
             return limit
         left = max(0.0, self.due - self._clock())
         return left if limit is None else min(limit, left)

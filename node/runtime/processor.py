@@ -38,31 +38,31 @@ from raygrid.node.geometry.grid_walk import HOST
 from raygrid.node.geometry.overlap import meets
 from raygrid.node.geometry.spanning_tree import Branch, branches, tree_children, tree_parent
 from raygrid.node.geometry.surfaces import Batch
-from raygrid.node.links.link import Arrival, Link, State
+from raygrid.node.links.link import Arrival, Link, LinkPhase
 from raygrid.node.protocol.commands import read_frame, read_space
 from raygrid.node.protocol.counters import COUNTS
 from raygrid.node.protocol.messages import MessageKind, check_packets, pack_surfaces, read_order, read_surfaces
 from raygrid.node.protocol.packets import FAULTS
-from raygrid.node.runtime.event_loop import BATCH, FLUSH, LEAST, NAP, NAPS
-from raygrid.node.runtime.increments import MOVED, Way
-from raygrid.node.runtime.native_link_table import Wired
-from raygrid.node.runtime.node_state import USUAL_FLUSH, Tracer
+from raygrid.node.runtime.event_loop import BACK_OFFS, TUNE_BACK_OFF, TUNE_BATCH, TUNE_FLUSH, TUNE_LEAST
+from raygrid.node.runtime.increments import MOVED, Path
+from raygrid.node.runtime.native_link_table import NativeLinkTable
+from raygrid.node.runtime.node_state import USUAL_FLUSH, NodeState
 from raygrid.node.runtime.reduction import (
     ALLOWED,
     COLLECTING,
-    DATA_DONE,
-    DATA_SENT,
     HANDED_ON,
     HOMES_LEFT,
-    RECEIVED,
     REFUSED,
+    SUM_DATA_DONE,
+    SUM_DATA_SENT,
+    SUM_RECEIVED,
+    SUM_WAITING,
     SUMS,
-    WAITING,
 )
-from raygrid.node.runtime.reduction_replies import Tallies
+from raygrid.node.runtime.reduction_replies import Reductions
 from raygrid.node.runtime.report import add_answer, record_of
 from raygrid.node.runtime.self_test import ready_program
-from raygrid.node.tracing.batch import IDLE
+from raygrid.node.tracing.batch import BATCH_IDLE
 
 PHASES = {
     "space": "load",
@@ -93,7 +93,7 @@ class Processor:
         programs: bool = False,
     ) -> None:
         self.index, self.shape, self.links, self.batch, self.clock = index, shape, links, batch, clock
-        self.tracer = Tracer(index, shape)
+        self.tracer = NodeState(index, shape)
         self.ended = False
         parent = tree_parent(index)
         self._parent = HOST if parent is None else parent
@@ -104,13 +104,13 @@ class Processor:
         self._wave: dict[str, Any] | None = None
         self._answers: list[dict[str, Any]] = []
         self._deadline = 0.0
-        self.tallies = Tallies(links, self._parent, self._children)
+        self.tallies = Reductions(links, self._parent, self._children)
         self._received = self._handed_on = 0
         self._halted = self._built = False
         self.refused: Counter[str] = Counter()
         self.cpu_at_frame = 0.0
-        self.tracer.pace[FLUSH], self.tracer.pace[BATCH] = min(USUAL_FLUSH, batch), batch
-        self._wired: Wired | None = None
+        self.tracer.pace[TUNE_FLUSH], self.tracer.pace[TUNE_BATCH] = min(USUAL_FLUSH, batch), batch
+        self._wired: NativeLinkTable | None = None
         self._ports = list(links.items())
         self.choked = self._up = False
         self.phase = "idle"  # load, trace, collect or idle: for the probes
@@ -140,7 +140,7 @@ class Processor:
         """A message that only processors of another sort take. Raises ProtocolError."""
         raise ProtocolError(f"link {link.name}: {arrival.kind.name} came on a port where it cannot come from")
 
-    def wire(self, wired: Wired) -> None:
+    def wire(self, wired: NativeLinkTable) -> None:
         """Let compiled code serve some of the links while a frame is traced."""
         self._wired, self.tracer.wires = wired, wired.wires
 
@@ -189,7 +189,7 @@ class Processor:
             self._refuse(f"node {self.index}: the program {name} raises: {type(error).__name__}: {error}")
             self.tracer.forget_frame()
             self._halted = True
-            return IDLE
+            return BATCH_IDLE
 
     @property
     def _may_wait(self) -> bool:
@@ -245,7 +245,7 @@ class Processor:
         """Send the outputs that are full enough, all of them when there is nothing else to do."""
         outputs = self.tracer.outputs
         held = outputs.held.tolist()
-        least = int(self.tracer.pace[FLUSH]) if self.tracer.has_work else 1
+        least = int(self.tracer.pace[TUNE_FLUSH]) if self.tracer.has_work else 1
         self.choked = False
         for port, link in self._ports:
             if link.queued or link.urgent:
@@ -295,7 +295,7 @@ class Processor:
                 self._handed_on += len(way.batch)
                 self._send_surfaces(corner, way)
 
-    def _ways(self, corner: int, batch: Batch, placed: Batch, boxes: NDArray[np.float64]) -> list[Way]:
+    def _ways(self, corner: int, batch: Batch, placed: Batch, boxes: NDArray[np.float64]) -> list[Path]:
         """To whom descriptions go on: along the corner's tree, or after a motion along that of their owners."""
         space, cell = self.tracer.space, self.tracer.cell
         assert space is not None and cell is not None
@@ -303,7 +303,7 @@ class Processor:
             return self.tracer.increments.relay(batch, placed, boxes, space, cell)
         if corner not in self._branches:
             self._branches[corner] = branches(corner, space, cell)
-        onward = [Way(b.port, batch.select(meets(placed, b.low, b.high, boxes))) for b in self._branches[corner]]
+        onward = [Path(b.port, batch.select(meets(placed, b.low, b.high, boxes))) for b in self._branches[corner]]
         return [way for way in onward if len(way.batch)]
 
     def _hand_on(self) -> None:
@@ -312,7 +312,7 @@ class Processor:
         while pending and not self._clogged():
             self._send_surfaces(MOVED, pending.popleft())
 
-    def _send_surfaces(self, corner: int, way: Way) -> None:
+    def _send_surfaces(self, corner: int, way: Path) -> None:
         payload = pack_surfaces(corner, way.batch)
         self.links[way.port].send_data(MessageKind.SURFACES, len(way.batch), payload)
 
@@ -400,7 +400,11 @@ class Processor:
         """Let more primaries be born, and set the pace: see `Driver`."""
         pace = self.tracer.pace
         self.tracer.quota = max(self.tracer.quota, quota)
-        pace[LEAST], pace[NAP], pace[FLUSH] = gather, nap // NAPS, max(1, min(flush, self.batch))
+        pace[TUNE_LEAST], pace[TUNE_BACK_OFF], pace[TUNE_FLUSH] = (
+            gather,
+            nap // BACK_OFFS,
+            max(1, min(flush, self.batch)),
+        )
 
     def _maybe_answer(self) -> None:
         """Answer the wave once the children have and this node is ready to."""
@@ -410,7 +414,7 @@ class Processor:
         # a held wave waits for idleness, so that waves are rare under load and quick at the end
         if self._deadline and self.clock() < self._deadline and not self._idle():
             return
-        if not self._up and any(link.state is State.NEW for link in self.links.values()):
+        if not self._up and any(link.state is LinkPhase.NEW for link in self.links.values()):
             return
         self._up = True
         answer = self._own_answer(str(do))
@@ -439,12 +443,12 @@ class Processor:
         tracer, sums = self.tracer, np.zeros(SUMS, np.int64)
         sums[:COUNTS] = tracer.counts
         sums[HOMES_LEFT] = tracer.samples_left
-        sums[WAITING] = tracer.backlog.held + tracer.outputs.held.sum()
-        sums[RECEIVED], sums[HANDED_ON], sums[COLLECTING] = self._received, self._handed_on, tracer.collecting >= 0
+        sums[SUM_WAITING] = tracer.backlog.held + tracer.outputs.held.sum()
+        sums[SUM_RECEIVED], sums[HANDED_ON], sums[COLLECTING] = self._received, self._handed_on, tracer.collecting >= 0
         sums[REFUSED] = sum(self.refused.values())
         sums[ALLOWED] = tracer.quota if tracer.samples_left else 0
-        sums[DATA_SENT] = sum(link.data_sent for link in self.links.values())
-        sums[DATA_DONE] = sum(link.data_done for link in self.links.values())
+        sums[SUM_DATA_SENT] = sum(link.data_sent for link in self.links.values())
+        sums[SUM_DATA_DONE] = sum(link.data_done for link in self.links.values())
         return sums
 
     # --- tallies -----------------------------------------------------------------------------------
@@ -457,18 +461,18 @@ class Processor:
             return
         self._admit(quota, gather, nap, flush)
 
-    def _lend_tally(self, wired: Wired) -> None:
+    def _lend_tally(self, wired: NativeLinkTable) -> None:
         """Let compiled code take care of tallies while no other wave is under way."""
         known = self.tallies.tally.known
-        known[RECEIVED], known[HANDED_ON], known[COLLECTING] = (
+        known[SUM_RECEIVED], known[HANDED_ON], known[COLLECTING] = (
             self._received,
             self._handed_on,
             self.tracer.collecting >= 0,
         )
         known[REFUSED] = sum(self.refused.values())
         strange = [link for port, link in self._ports if not wired.keeps(port)]
-        known[DATA_SENT] = sum(link.data_sent for link in strange)
-        known[DATA_DONE] = sum(link.data_done for link in strange)
+        known[SUM_DATA_SENT] = sum(link.data_sent for link in strange)
+        known[SUM_DATA_DONE] = sum(link.data_done for link in strange)
         queued = any(link.waiting for link in self.links.values())
         wired.begin(self._wave is None and not self._halted, self._is_occupied or queued)
 

@@ -28,20 +28,20 @@ from raygrid.node.geometry.lattice import T_MIN
 from raygrid.node.jit.decorators import lean
 from raygrid.node.protocol.counters import BORN, COUNTS, WALKS
 from raygrid.node.protocol.packets import PRIMARY, SHADOW, SIZE
-from raygrid.node.runtime.event_loop import RETURN
+from raygrid.node.runtime.event_loop import TUNE_RETURN
 from raygrid.node.runtime.profile_parts import PARTS
-from raygrid.node.tracing.batch import PORTION, TURN
-from raygrid.node.tracing.primaries import bear_primaries, new_cursor
-from raygrid.node.tracing.ray_setup import AHEAD, column, read_ahead, set_up_ahead
+from raygrid.node.tracing.batch import BATCH_RAYS, PORTION
+from raygrid.node.tracing.primaries import new_cursor, spawn_primaries
+from raygrid.node.tracing.ray_setup import SETUP_RAYS, column, read_prepared, set_up_rays
 from raygrid.node.tracing.traverse import blocked, closest
-from raygrid.node.tracing.work_queues import CLASSES, RAYS, SHADOWS, Backlog
+from raygrid.node.tracing.work_queues import CLASSES, RAYS, SHADOWS, WorkQueues
 
 if TYPE_CHECKING:
-    from raygrid.node.runtime.node_state import Tracer
+    from raygrid.node.runtime.node_state import NodeState
     from raygrid.node.runtime.processor import Processor
 
 EVERY = 2  # calls, one of which is sampled
-LEAST = 64  # packets worth sampling
+LEAST_SAMPLES = 64  # packets worth sampling
 DECODE, WALK, HIT = 0, 1, 2
 BIRTHS = 8192  # primary rays born aside to know the time of one
 
@@ -52,13 +52,13 @@ def again(cell, space, frame, surfaces, packets, ports, first, last, what, stack
     all of it."""
     told = 0.0
     shadow = (np.int64(packets[first * SIZE]) & 7) == SHADOW
-    for k in range(first, last, AHEAD):
-        many = min(AHEAD, last - k)
-        read_ahead(frame, packets, ports, k, k + many, shadow, ahead)
+    for k in range(first, last, SETUP_RAYS):
+        many = min(SETUP_RAYS, last - k)
+        read_prepared(frame, packets, ports, k, k + many, shadow, ahead)
         told += ahead.words[0]
         if what == DECODE:
             continue
-        set_up_ahead(cell, space, many, shadow, ahead)
+        set_up_rays(cell, space, many, shadow, ahead)
         told += ahead.ways[0]
         if what == WALK or len(surfaces.floats) == 0:
             continue
@@ -72,13 +72,13 @@ def again(cell, space, frame, surfaces, packets, ports, first, last, what, stack
     return told
 
 
-def warm(tracer: Tracer) -> None:
+def warm(tracer: NodeState) -> None:
     """Load the kernel, or compile it, for a tracer with a frame."""
     _again(tracer, np.zeros(SIZE, np.uint8), np.zeros(1, np.uint8), 0, 0, HIT, np.zeros(COUNTS, np.int64))
 
 
 def _again(
-    tracer: Tracer, packets: np.ndarray, ports: np.ndarray, first: int, last: int, what: int, counts: np.ndarray
+    tracer: NodeState, packets: np.ndarray, ports: np.ndarray, first: int, last: int, what: int, counts: np.ndarray
 ) -> None:
     tables = tracer.cell, tracer.space, tracer.frame, tracer.surfaces
     again(*tables, packets, ports, first, last, what, tracer.outputs.stack, tracer.outputs.ahead, counts)
@@ -95,7 +95,9 @@ class Profile:
         self._counts = np.zeros(COUNTS, np.int64)
         self._scratch = np.ones(BIRTHS * SIZE, np.uint8)
         self._frames = 0
-        processor.tracer.pace[RETURN] = 4 * TURN  # back to Python while packets wait, or there are none to sample
+        processor.tracer.pace[TUNE_RETURN] = (
+            4 * BATCH_RAYS
+        )  # back to Python while packets wait, or there are none to sample
         self._begin()
         self._record = processor.record
         processor.receive = self._timed("receive", processor.receive)  # type: ignore[method-assign]
@@ -153,12 +155,12 @@ class Profile:
         tracer = self._processor.tracer
         for kind in (SHADOWS, RAYS):
             held = int(tracer.backlog.count[kind])
-            if held >= LEAST:
+            if held >= LEAST_SAMPLES:
                 self._sample_stack(tracer.backlog, kind, held)
         if tracer.quota > 0 and tracer.samples_left:
             self._sample_births()
 
-    def _sample_stack(self, backlog: Backlog, kind: int, held: int) -> None:
+    def _sample_stack(self, backlog: WorkQueues, kind: int, held: int) -> None:
         tracer = self._processor.tracer
         first = max(0, held - PORTION)
 
@@ -182,7 +184,7 @@ class Profile:
         pixels = tracer.pixels._replace(samples=tracer.pixels.samples.copy())
         cursor = new_cursor(True)
         begun = time.thread_time()
-        self._births += bear_primaries(
+        self._births += spawn_primaries(
             tracer.cell,
             tracer.space,
             tracer.frame,

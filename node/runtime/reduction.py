@@ -27,34 +27,36 @@ from raygrid.node.protocol.packets import read_u64
 from raygrid.node.tracing.primaries import DONE
 
 # sums of a wave: the counts of node.tables, then these
-HOMES_LEFT, WAITING, RECEIVED, HANDED_ON, COLLECTING, REFUSED, ALLOWED, DATA_SENT, DATA_DONE = range(COUNTS, COUNTS + 9)
+HOMES_LEFT, SUM_WAITING, SUM_RECEIVED, HANDED_ON, COLLECTING, REFUSED, ALLOWED, SUM_DATA_SENT, SUM_DATA_DONE = range(
+    COUNTS, COUNTS + 9
+)
 SUMS = COUNTS + 9
 
 # fields of a TALLY
-NUMBER, QUOTA, HOLD, GATHER, NAP, FLUSH = range(6)
-ORDER = 6
-WORD = 8  # bytes of a field
-ORDER_BYTES, ANSWER_BYTES = ORDER * WORD, (1 + SUMS) * WORD
+WAVE, QUOTA, HOLD, BATCH_THRESHOLD, BACK_OFF, FLUSH_PACKETS = range(6)
+REQUEST_FIELDS = 6
+FIELD_BYTES = 8  # bytes of a field
+REQUEST_BYTES, REPLY_BYTES = REQUEST_FIELDS * FIELD_BYTES, (1 + SUMS) * FIELD_BYTES
 
-# places in Tally.state
+# places in Reduction.state
 PENDING = 0  # whether one is under way here
 CURRENT = 1  # its number
 DEADLINE = 2  # when it is answered although the node is busy, in nanoseconds of the monotonic clock
-HEARD, UNTOLD = 3, 4  # a bit a port: children that have answered, children that are still to be told
+REPLIED, TO_NOTIFY = 3, 4  # a bit a port: children that have answered, children that are still to be told
 FRESH = 5  # whether what it orders is still to be done
-SERVED = 6  # whether compiled code may take care of it now
-OCCUPIED = 7  # whether the node has something to do of which compiled code knows nothing
-PARENT, CHILDREN = 8, 9  # port; a bit a port
+COMPILED_SERVES = 6  # whether compiled code may take care of it now
+PYTHON_BUSY = 7  # whether the node has something to do of which compiled code knows nothing
+PARENT_PORT, CHILD_PORTS = 8, 9  # port; a bit a port
 STATE = 10
 
-MOST_QUOTA, MOST_HOLD, MOST_NAP, MOST_PACKETS = 2**32 - 1, 60 * 10**9, 10**6, 2**31
+MOST_QUOTA, MOST_HOLD, MOST_BACK_OFF, MOST_PACKETS = 2**32 - 1, 60 * 10**9, 10**6, 2**31
 
 
-class Tally(NamedTuple):
+class Reduction(NamedTuple):
     """How a tally stands in a node.
 
     state  int64 (STATE,)
-    order  int64 (ORDER,), what came from the parent
+    order  int64 (REQUEST_FIELDS,), what came from the parent
     sums   int64 (SUMS,), of the children that have answered
     known  int64 (SUMS,), of this node's own sums what compiled code does not know
     room   uint8, for a message
@@ -67,24 +69,24 @@ class Tally(NamedTuple):
     room: NDArray[np.uint8]
 
 
-def make_tally(parent: int = 0, children: tuple[int, ...] = ()) -> Tally:
+def make_reduction(parent: int = 0, children: tuple[int, ...] = ()) -> Reduction:
     """None is under way."""
-    tally = Tally(
+    tally = Reduction(
         np.zeros(STATE, np.int64),
-        np.zeros(ORDER, np.int64),
+        np.zeros(REQUEST_FIELDS, np.int64),
         np.zeros(SUMS, np.int64),
         np.zeros(SUMS, np.int64),
-        np.zeros(HEAD + max(ORDER_BYTES, ANSWER_BYTES), np.uint8),
+        np.zeros(HEAD + max(REQUEST_BYTES, REPLY_BYTES), np.uint8),
     )
-    tally.state[PARENT] = parent
-    tally.state[CHILDREN] = sum(1 << port for port in children)
+    tally.state[PARENT_PORT] = parent
+    tally.state[CHILD_PORTS] = sum(1 << port for port in children)
     return tally
 
 
 # --- in Python -----------------------------------------------------------------------------------------
 
 
-def pack_tally(number: int, order: dict[str, Any]) -> bytes | None:
+def pack_request(number: int, order: dict[str, Any]) -> bytes | None:
     """The order `trace` as a TALLY; None if it cannot be one, and must go as a map, to be refused by the nodes."""
     quota, gather, flush = order.get("quota"), order.get("gather", 0), order.get("flush")
     hold, linger = order.get("hold", 0.0), order.get("linger", 0.0)
@@ -96,11 +98,11 @@ def pack_tally(number: int, order: dict[str, Any]) -> bytes | None:
     return np.array(fields, "<i8").tobytes() if _is_sound(fields) else None
 
 
-def read_tally(message: bytes) -> list[int]:
+def read_request(message: bytes) -> list[int]:
     """The fields of a TALLY. Raises ProtocolError."""
-    if len(message) != HEAD + ORDER_BYTES:
-        raise ProtocolError(f"a tally came with {len(message) - HEAD} bytes, wanted {ORDER_BYTES}")
-    fields: list[int] = np.frombuffer(message, "<i8", ORDER, HEAD).tolist()
+    if len(message) != HEAD + REQUEST_BYTES:
+        raise ProtocolError(f"a tally came with {len(message) - HEAD} bytes, wanted {REQUEST_BYTES}")
+    fields: list[int] = np.frombuffer(message, "<i8", REQUEST_FIELDS, HEAD).tolist()
     if not _is_sound(fields):
         raise ProtocolError(f"a tally came with {fields}, wanted number, quota, hold, gather, nap and flush in range")
     return fields
@@ -112,20 +114,20 @@ def _is_sound(fields: Any) -> bool:
         0 <= quota <= MOST_QUOTA
         and 0 <= hold <= MOST_HOLD
         and 0 <= gather <= MOST_PACKETS
-        and 0 <= nap <= MOST_NAP
+        and 0 <= nap <= MOST_BACK_OFF
         and 1 <= flush <= MOST_PACKETS
     )
 
 
-def pack_tallied(number: int, sums: NDArray[np.int64]) -> bytes:
+def pack_reply(number: int, sums: NDArray[np.int64]) -> bytes:
     """The answer to a tally."""
     return np.concatenate(([number], sums)).astype("<i8").tobytes()
 
 
-def read_tallied(message: bytes) -> tuple[int, NDArray[np.int64]]:
+def read_reply(message: bytes) -> tuple[int, NDArray[np.int64]]:
     """(number, sums) of an answer to a tally. Raises ProtocolError."""
-    if len(message) != HEAD + ANSWER_BYTES:
-        raise ProtocolError(f"an answer to a tally came with {len(message) - HEAD} bytes, wanted {ANSWER_BYTES}")
+    if len(message) != HEAD + REPLY_BYTES:
+        raise ProtocolError(f"an answer to a tally came with {len(message) - HEAD} bytes, wanted {REPLY_BYTES}")
     numbers = np.frombuffer(message, "<i8", 1 + SUMS, HEAD).astype(np.int64)
     return int(numbers[0]), numbers[1:]
 
@@ -136,14 +138,14 @@ def read_tallied(message: bytes) -> tuple[int, NDArray[np.int64]]:
 @part
 def read_word(raw, place):
     """A field of a message, int64."""
-    return read_u64(raw, HEAD + place * WORD)
+    return read_u64(raw, HEAD + place * FIELD_BYTES)
 
 
 @part
 def put_word(raw, place, value):
     """Write a field of a message."""
-    at = HEAD + place * WORD
-    for k in range(WORD):
+    at = HEAD + place * FIELD_BYTES
+    for k in range(FIELD_BYTES):
         raw[at + k] = np.uint8((value >> (8 * k)) & 0xFF)
 
 
@@ -151,53 +153,58 @@ def put_word(raw, place, value):
 def may_begin(tally, port, raw):
     """Whether a message, as long as a TALLY, is one that this code can take care of."""
     state = tally.state
-    if state[SERVED] == 0 or state[PENDING] != 0 or port != state[PARENT]:
+    if state[COMPILED_SERVES] == 0 or state[PENDING] != 0 or port != state[PARENT_PORT]:
         return False
-    quota, hold, gather = read_word(raw, QUOTA), read_word(raw, HOLD), read_word(raw, GATHER)
-    nap, flush = read_word(raw, NAP), read_word(raw, FLUSH)
-    times = (hold >= 0) & (hold <= MOST_HOLD) & (nap >= 0) & (nap <= MOST_NAP)
+    quota, hold, gather = read_word(raw, QUOTA), read_word(raw, HOLD), read_word(raw, BATCH_THRESHOLD)
+    nap, flush = read_word(raw, BACK_OFF), read_word(raw, FLUSH_PACKETS)
+    times = (hold >= 0) & (hold <= MOST_HOLD) & (nap >= 0) & (nap <= MOST_BACK_OFF)
     packets = (gather >= 0) & (gather <= MOST_PACKETS) & (flush >= 1) & (flush <= MOST_PACKETS)
     return times & packets & (quota >= 0) & (quota <= MOST_QUOTA)
 
 
 @part
-def begin_here(tally, raw, now):
+def begin_reduction(tally, raw, now):
     """As `tallies.Tallies.begin`; what it orders is still to be done."""
     state = tally.state
-    for k in range(ORDER):
+    for k in range(REQUEST_FIELDS):
         tally.order[k] = read_word(raw, k)
-    state[PENDING], state[CURRENT], state[HEARD], state[UNTOLD] = 1, tally.order[NUMBER], 0, state[CHILDREN]
+    state[PENDING], state[CURRENT], state[REPLIED], state[TO_NOTIFY] = 1, tally.order[WAVE], 0, state[CHILD_PORTS]
     state[DEADLINE], state[FRESH] = now + tally.order[HOLD], 1
     for k in range(SUMS):
         tally.sums[k] = 0
 
 
 @part
-def may_hear(tally, port, raw):
+def may_take_reply(tally, port, raw):
     """Whether a message, as long as a TALLIED, is one that is waited for."""
     state = tally.state
-    if state[SERVED] == 0 or state[PENDING] == 0 or (state[CHILDREN] >> port) & 1 == 0:
+    if state[COMPILED_SERVES] == 0 or state[PENDING] == 0 or (state[CHILD_PORTS] >> port) & 1 == 0:
         return False
-    return (state[HEARD] >> port) & 1 == 0 and read_word(raw, 0) == state[CURRENT]
+    return (state[REPLIED] >> port) & 1 == 0 and read_word(raw, 0) == state[CURRENT]
 
 
 @part
-def hear_here(tally, port, raw):
+def take_reply(tally, port, raw):
     """As `tallies.Tallies.hear`."""
     for k in range(SUMS):
         tally.sums[k] += read_word(raw, 1 + k)
-    tally.state[HEARD] |= 1 << port
+    tally.state[REPLIED] |= 1 << port
 
 
 @part
 def waits_for_node(tally):
     """Whether one is under way that this code serves, and that waits for nobody but this node."""
     state = tally.state
-    return state[PENDING] != 0 and state[SERVED] != 0 and state[UNTOLD] == 0 and state[HEARD] == state[CHILDREN]
+    return (
+        state[PENDING] != 0
+        and state[COMPILED_SERVES] != 0
+        and state[TO_NOTIFY] == 0
+        and state[REPLIED] == state[CHILD_PORTS]
+    )
 
 
 @part
-def put_answer(tally, quota, cursor, held, outputs, counts, data_sent, data_done):
+def put_reply(tally, quota, cursor, held, outputs, counts, data_sent, data_done):
     """Write the answer into `room`: the children's sums and this node's own.
 
     data_sent, data_done  messages of the links that this code serves; those of others are known
@@ -213,12 +220,12 @@ def put_answer(tally, quota, cursor, held, outputs, counts, data_sent, data_done
             value += counts[k]
         elif k == HOMES_LEFT:
             value += left
-        elif k == WAITING:
+        elif k == SUM_WAITING:
             value += waiting
         elif k == ALLOWED:
             value += left * quota
-        elif k == DATA_SENT:
+        elif k == SUM_DATA_SENT:
             value += data_sent
-        elif k == DATA_DONE:
+        elif k == SUM_DATA_DONE:
             value += data_done
         put_word(tally.room, 1 + k, value)

@@ -11,33 +11,33 @@ from raygrid.node.errors import ProtocolError
 from raygrid.node.links.link import Link
 from raygrid.node.protocol.messages import MessageKind
 from raygrid.node.runtime.reduction import (
-    CHILDREN,
+    CHILD_PORTS,
     CURRENT,
     DEADLINE,
     FRESH,
-    HEARD,
     HOLD,
-    NUMBER,
-    PARENT,
+    PARENT_PORT,
     PENDING,
-    UNTOLD,
-    make_tally,
-    pack_tallied,
-    read_tallied,
-    read_tally,
+    REPLIED,
+    TO_NOTIFY,
+    WAVE,
+    make_reduction,
+    pack_reply,
+    read_reply,
+    read_request,
 )
 
 NANO = 1_000_000_000
 
 
-class Tallies:
+class Reductions:
     """The tallies of one node.
 
     tally  how the one stands that is under way, shared with compiled code
     """
 
     def __init__(self, links: dict[int, Link], parent: int, children: list[int]) -> None:
-        self.tally = make_tally(parent, tuple(children))
+        self.tally = make_reduction(parent, tuple(children))
         self._links, self._children = links, children
 
     @property
@@ -49,7 +49,7 @@ class Tallies:
     def waits_for_node(self) -> bool:
         """Whether one is under way that waits for nobody but this node."""
         state = self.tally.state
-        return bool(state[PENDING] and not state[UNTOLD] and state[HEARD] == state[CHILDREN])
+        return bool(state[PENDING] and not state[TO_NOTIFY] and state[REPLIED] == state[CHILD_PORTS])
 
     def left(self, now: float) -> float:
         """Seconds until this node answers although it is busy."""
@@ -57,38 +57,38 @@ class Tallies:
 
     def begin(self, message: bytes, now: float) -> list[int]:
         """One has come from the parent, at `now` seconds: hand it on. Its fields. Raises ProtocolError."""
-        fields, state = read_tally(message), self.tally.state
+        fields, state = read_request(message), self.tally.state
         self.tally.order[:] = fields
         self.tally.sums[:] = 0
-        state[PENDING], state[CURRENT], state[HEARD], state[UNTOLD] = 1, fields[NUMBER], 0, state[CHILDREN]
+        state[PENDING], state[CURRENT], state[REPLIED], state[TO_NOTIFY] = 1, fields[WAVE], 0, state[CHILD_PORTS]
         state[DEADLINE], state[FRESH] = int(now * NANO) + fields[HOLD], 0
         self.tell_children()
         return fields
 
     def hear(self, port: int, message: bytes) -> None:
         """A child has answered. Raises ProtocolError if it was not asked."""
-        number, sums = read_tallied(message)
+        number, sums = read_reply(message)
         state = self.tally.state
-        if not state[PENDING] or number != state[CURRENT] or state[HEARD] >> port & 1:
+        if not state[PENDING] or number != state[CURRENT] or state[REPLIED] >> port & 1:
             raise ProtocolError(f"an answer to tally {number} came by port {port}, wanted none")
         self.tally.sums[:] += sums
-        state[HEARD] |= 1 << port
+        state[REPLIED] |= 1 << port
 
     def tell_children(self) -> None:
         """Hand a tally on to the children that have not been told of it."""
         state, payload = self.tally.state, self.tally.order.astype("<i8").tobytes()
         for port in self._children:
-            if state[UNTOLD] >> port & 1:
+            if state[TO_NOTIFY] >> port & 1:
                 self._links[port].send_words(MessageKind.TALLY, payload)
-        state[UNTOLD] = 0
+        state[TO_NOTIFY] = 0
 
     def maybe_answer(self, now: float, idle: Callable[[], bool], own: Callable[[], NDArray[np.int64]]) -> None:
         """Answer once nobody else is waited for, and this node is idle or the time is up. own: this node's sums."""
         state = self.tally.state
-        if state[UNTOLD]:
+        if state[TO_NOTIFY]:
             self.tell_children()
         if not self.waits_for_node or (int(now * NANO) < state[DEADLINE] and not idle()):
             return
-        payload = pack_tallied(int(state[CURRENT]), self.tally.sums + own())
+        payload = pack_reply(int(state[CURRENT]), self.tally.sums + own())
         state[PENDING] = 0
-        self._links[int(state[PARENT])].send_words(MessageKind.TALLIED, payload)
+        self._links[int(state[PARENT_PORT])].send_words(MessageKind.TALLIED, payload)

@@ -18,7 +18,7 @@ from raygrid.node.runtime.memory_stats import peak_memory, private_memory
 from raygrid.node.runtime.reduction import SUMS
 
 if TYPE_CHECKING:
-    from raygrid.node.runtime.node_state import Tracer
+    from raygrid.node.runtime.node_state import NodeState
     from raygrid.node.runtime.processor import Processor
 
 
@@ -53,7 +53,7 @@ def record_of(processor: Processor) -> dict[str, Any]:
     }
 
 
-def _held(tracer: Tracer, kind: AnyKind) -> int:
+def _held(tracer: NodeState, kind: AnyKind) -> int:
     return sum(len(batch) for batch in tracer.retained if batch.kind == kind)
 
 

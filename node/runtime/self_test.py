@@ -28,9 +28,9 @@ def ready_program(order: dict[str, Any], allowed: bool) -> Compiled | None:
 
 def attempt(made: Compiled) -> None:
     """Trace a small picture of a programmed surface, a triangle, and the background. Raises what the program raises."""
-    from raygrid.node.runtime.node_state import Tracer
+    from raygrid.node.runtime.node_state import NodeState
 
-    tracer = Tracer((0, 0, 0), (1, 1, 1))
+    tracer = NodeState((0, 0, 0), (1, 1, 1))
     tracer.ready = made
     tracer.use_ready()
     tracer.set_space(make_space((2.0**-24,) * 3, [[0, LATTICE]] * 3))

@@ -28,14 +28,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from raygrid.node.protocol.timestamps import ASK, LAST, NO, YES, Enquiry
+from raygrid.node.protocol.timestamps import ASK, LAST_TICK, NO, YES, LookaheadRequest
 
 Index = tuple[int, int, int]
-Post = Callable[[int, Enquiry], None]
+Post = Callable[[int, LookaheadRequest], None]
 
 
 @dataclass
-class Engagement:
+class PendingRequest:
     """A question of another node that this one takes part in. limit: see the module."""
 
     number: int
@@ -48,7 +48,7 @@ class Engagement:
 
 
 @dataclass
-class Enquiries:
+class Lookahead:
     """All questions that a node has to do with, in one frame.
 
     ports    of the neighbours
@@ -68,12 +68,12 @@ class Enquiries:
     tick: int = -1  # of the own question that is not answered yet
     waiting: set[int] = field(default_factory=set)
     failed: bool = False
-    held: list[tuple[int, Enquiry]] = field(default_factory=list)
-    engaged: dict[Index, Engagement] = field(default_factory=dict)
+    held: list[tuple[int, LookaheadRequest]] = field(default_factory=list)
+    engaged: dict[Index, PendingRequest] = field(default_factory=dict)
 
     def horizon(self) -> int:
         """Nothing that is not here can arrive before this tick."""
-        return min(self.bound.values(), default=LAST)
+        return min(self.bound.values(), default=LAST_TICK)
 
     def ask(self, tick: int) -> None:
         """The node may not decide yet at this tick: ask, unless it has done so."""
@@ -83,9 +83,9 @@ class Enquiries:
         self.tick, self.failed = tick, False
         self.waiting = {port for port in self.ports if self.bound[port] <= tick}
         for port in self.waiting:
-            self.post(port, Enquiry(self.frame, ASK, self.index, self.number, tick, 0))
+            self.post(port, LookaheadRequest(self.frame, ASK, self.index, self.number, tick, 0))
 
-    def take(self, port: int, enquiry: Enquiry) -> None:
+    def take(self, port: int, enquiry: LookaheadRequest) -> None:
         """A question or an answer came by a port."""
         if enquiry.answer == ASK:
             self.held.append((port, enquiry))
@@ -99,7 +99,7 @@ class Enquiries:
             found.failed = found.failed or enquiry.answer == NO
             self._maybe_answer(enquiry.origin, found)
 
-    def _own_answer(self, port: int, enquiry: Enquiry) -> None:
+    def _own_answer(self, port: int, enquiry: LookaheadRequest) -> None:
         if enquiry.number != self.number or port not in self.waiting:
             return
         self.waiting.discard(port)
@@ -125,7 +125,7 @@ class Enquiries:
         for port, enquiry in held:
             self._consider(port, enquiry)
 
-    def _consider(self, port: int, enquiry: Enquiry) -> None:
+    def _consider(self, port: int, enquiry: LookaheadRequest) -> None:
         found = self.engaged.get(enquiry.origin)
         if enquiry.origin == self.index or (found is not None and found.number == enquiry.number):
             self.post(port, enquiry._replace(answer=YES))
@@ -139,15 +139,15 @@ class Enquiries:
             self.held.append((port, enquiry))
             return
         waiting = {other for other in self.ports if other != port and self.bound[other] <= limit}
-        engagement = Engagement(enquiry.number, enquiry.tick, limit, port, waiting)
+        engagement = PendingRequest(enquiry.number, enquiry.tick, limit, port, waiting)
         self.engaged[enquiry.origin] = engagement
         for other in waiting:
             self.post(other, enquiry)
         self._maybe_answer(enquiry.origin, engagement)
 
-    def _maybe_answer(self, origin: Index, found: Engagement) -> None:
+    def _maybe_answer(self, origin: Index, found: PendingRequest) -> None:
         if found.waiting or found.answered:
             return
         found.answered = True
         sure = not found.failed and self.decision() > found.limit
-        self.post(found.parent, Enquiry(self.frame, YES if sure else NO, origin, found.number, found.tick, 0))
+        self.post(found.parent, LookaheadRequest(self.frame, YES if sure else NO, origin, found.number, found.tick, 0))

@@ -33,16 +33,16 @@ from raygrid.node.jit.decorators import lean, part
 from raygrid.node.protocol.counters import BORN, COUNTS, DIED, SENT, WALKS
 from raygrid.node.protocol.messages import HEAD
 from raygrid.node.protocol.packets import KINDS, PRIMARY, SIZE, copy_packet
-from raygrid.node.protocol.timestamps import NEVER
-from raygrid.node.tracing.primaries import DONE, bear_primaries
+from raygrid.node.protocol.timestamps import NEVER_TICK
+from raygrid.node.tracing.primaries import DONE, spawn_primaries
 from raygrid.node.tracing.step import step_one
 
 Long = NDArray[np.int64]
 
 # a record of the store: words of 8 bytes, and the same memory as bytes
-WORDS = 6
+RECORD_WORDS = 6
 TICK, NEXT, PACKET = 0, 1, 16  # words, words, bytes
-PORT_AT, HOPS_AT, RECORD = PACKET + SIZE, PACKET + SIZE + 1, 8 * WORDS
+PORT_AT, HOPS_AT, RECORD_BYTES = PACKET + SIZE, PACKET + SIZE + 1, 8 * RECORD_WORDS
 MOST_HOPS = 65535
 
 # columns of a node's row
@@ -50,22 +50,22 @@ OWN, READY = 6, 7  # queues: one for each port, then what starts here, then what
 FIRST_SLOT, LAST_SLOT, FIRST_TICK = 0, 8, 16  # of each queue: numbers of records (-1: empty), tick of the first
 FREE = 24  # tick at which the node decides next
 LINK_FREE = 25  # of each output: tick at which its link has sent all
-BUSY, SERVED, WAITED, WAITING, MOST_WAITING = 32, 33, 34, 35, 36
+BUSY, PACKETS_SERVED, WAITED, PACKETS_WAITING, MOST_WAITING = 32, 33, 34, 35, 36
 ENDED = 37  # tick at which the last service ended
 TRACE = 38  # digest of all services
 LIST_TICKS = 39  # what a walk costs beside its price: tests of every surface held, if a list is searched
 PACKETS_SENT = 40  # by each port and to the host
-NEXT_BIRTH, LAST_BIRTH = 47, 48  # the simulator's place in the list of samples
-WAKE, BEFORE, AFTER = 49, 50, 51  # the simulator's wheel
+NEXT_PRIMARY, LAST_PRIMARY = 47, 48  # the simulator's place in the list of samples
+WAKE, WAKE_BEFORE, WAKE_AFTER = 49, 50, 51  # the simulator's wheel
 WALKED = 52  # rays walked through the cell
-FIELDS = 53
+CLOCK_FIELDS = 53
 
 
-class Timed(NamedTuple):
+class ServiceClock(NamedTuple):
     """Queues and clocks of n nodes.
 
-    nodes   int64 (n, FIELDS)
-    words   int64 (records * WORDS,); bytes: uint8, the same memory
+    nodes   int64 (n, CLOCK_FIELDS)
+    words   int64 (records * RECORD_WORDS,); bytes: uint8, the same memory
     spare   int64 (2,): first free record, how many are free
     """
 
@@ -75,33 +75,33 @@ class Timed(NamedTuple):
     spare: Long
 
 
-def make_timed(n: int, room: int) -> Timed:
+def make_service_clock(n: int, room: int) -> ServiceClock:
     """Empty queues, all clocks at 0, with room for so many packets."""
-    nodes = np.zeros((n, FIELDS), np.int64)
+    nodes = np.zeros((n, CLOCK_FIELDS), np.int64)
     nodes[:, FIRST_SLOT : FIRST_SLOT + 16] = -1
-    nodes[:, FIRST_TICK : FIRST_TICK + 8] = NEVER
+    nodes[:, FIRST_TICK : FIRST_TICK + 8] = NEVER_TICK
     nodes[:, WAKE] = -1
-    words = np.zeros(room * WORDS, np.int64)
-    words[NEXT::WORDS] = np.arange(1, room + 1)
-    return Timed(nodes, words, words.view(np.uint8), np.array([0, room], np.int64))
+    words = np.zeros(room * RECORD_WORDS, np.int64)
+    words[NEXT::RECORD_WORDS] = np.arange(1, room + 1)
+    return ServiceClock(nodes, words, words.view(np.uint8), np.array([0, room], np.int64))
 
 
-def grown(timed: Timed, room: int) -> Timed:
+def grown(timed: ServiceClock, room: int) -> ServiceClock:
     """The same with room for so many packets, more than before."""
-    before = len(timed.words) // WORDS
-    words = np.zeros(room * WORDS, np.int64)
+    before = len(timed.words) // RECORD_WORDS
+    words = np.zeros(room * RECORD_WORDS, np.int64)
     words[: len(timed.words)] = timed.words
     new = np.arange(before, room)
-    words[WORDS * new + NEXT] = np.append(new[1:], timed.spare[0])
+    words[RECORD_WORDS * new + NEXT] = np.append(new[1:], timed.spare[0])
     spare = np.array([before, timed.spare[1] + room - before], np.int64)
-    return Timed(timed.nodes, words, words.view(np.uint8), spare)
+    return ServiceClock(timed.nodes, words, words.view(np.uint8), spare)
 
 
 @part
 def put(timed, node, queue, tick, port, hops, source, at):
     """Append the 25 bytes at `at` to a queue of a node. There must be a free record."""
     slot = timed.spare[0]
-    word, byte = slot * WORDS, slot * RECORD
+    word, byte = slot * RECORD_WORDS, slot * RECORD_BYTES
     timed.spare[0] = timed.words[word + NEXT]
     timed.spare[1] -= 1
     timed.words[word + TICK] = tick
@@ -114,22 +114,22 @@ def put(timed, node, queue, tick, port, hops, source, at):
         timed.nodes[node, FIRST_SLOT + queue] = slot
         timed.nodes[node, FIRST_TICK + queue] = tick
     else:
-        timed.words[timed.nodes[node, LAST_SLOT + queue] * WORDS + NEXT] = slot
+        timed.words[timed.nodes[node, LAST_SLOT + queue] * RECORD_WORDS + NEXT] = slot
     timed.nodes[node, LAST_SLOT + queue] = slot
 
 
 @part
 def give_back(timed, slot):
     """Let a record be used again."""
-    timed.words[slot * WORDS + NEXT] = timed.spare[0]
+    timed.words[slot * RECORD_WORDS + NEXT] = timed.spare[0]
     timed.spare[0] = slot
     timed.spare[1] += 1
 
 
 @part
 def earliest(timed, node):
-    """Tick of the earliest packet in the queues of the ports, NEVER if there is none."""
-    first = NEVER
+    """Tick of the earliest packet in the queues of the ports, NEVER_TICK if there is none."""
+    first = NEVER_TICK
     for queue in range(READY):
         first = min(first, timed.nodes[node, FIRST_TICK + queue])
     return first
@@ -146,26 +146,26 @@ def gather(timed, node, tick):
         if chosen < 0:
             break
         slot = timed.nodes[node, FIRST_SLOT + chosen]
-        after = timed.words[slot * WORDS + NEXT]
+        after = timed.words[slot * RECORD_WORDS + NEXT]
         timed.nodes[node, FIRST_SLOT + chosen] = after
-        timed.nodes[node, FIRST_TICK + chosen] = timed.words[after * WORDS + TICK] if after >= 0 else NEVER
-        timed.words[slot * WORDS + NEXT] = -1
+        timed.nodes[node, FIRST_TICK + chosen] = timed.words[after * RECORD_WORDS + TICK] if after >= 0 else NEVER_TICK
+        timed.words[slot * RECORD_WORDS + NEXT] = -1
         if timed.nodes[node, FIRST_SLOT + READY] < 0:
             timed.nodes[node, FIRST_SLOT + READY] = slot
         else:
-            timed.words[timed.nodes[node, LAST_SLOT + READY] * WORDS + NEXT] = slot
+            timed.words[timed.nodes[node, LAST_SLOT + READY] * RECORD_WORDS + NEXT] = slot
         timed.nodes[node, LAST_SLOT + READY] = slot
-        timed.nodes[node, WAITING] += 1
-    timed.nodes[node, MOST_WAITING] = max(timed.nodes[node, MOST_WAITING], timed.nodes[node, WAITING])
+        timed.nodes[node, PACKETS_WAITING] += 1
+    timed.nodes[node, MOST_WAITING] = max(timed.nodes[node, MOST_WAITING], timed.nodes[node, PACKETS_WAITING])
 
 
 @part
 def take(timed, node, tick):
     """The record of the packet that is served next, at `tick`; one must wait."""
     slot = timed.nodes[node, FIRST_SLOT + READY]
-    timed.nodes[node, FIRST_SLOT + READY] = timed.words[slot * WORDS + NEXT]
-    timed.nodes[node, WAITING] -= 1
-    timed.nodes[node, WAITED] += tick - timed.words[slot * WORDS + TICK]
+    timed.nodes[node, FIRST_SLOT + READY] = timed.words[slot * RECORD_WORDS + NEXT]
+    timed.nodes[node, PACKETS_WAITING] -= 1
+    timed.nodes[node, WAITED] += tick - timed.words[slot * RECORD_WORDS + TICK]
     return slot
 
 
@@ -179,7 +179,7 @@ def _mix(digest, word):
 def _note(timed, node, tick, end):
     """Keep the books of a service from tick to end."""
     timed.nodes[node, BUSY] += end - tick
-    timed.nodes[node, SERVED] += 1
+    timed.nodes[node, PACKETS_SERVED] += 1
     timed.nodes[node, FREE] = end
     timed.nodes[node, ENDED] = end
     timed.nodes[node, TRACE] = _mix(_mix(timed.nodes[node, TRACE], tick), end)
@@ -192,7 +192,7 @@ def serve(timed, node, slot, tick, cell, space, frame, surfaces, pixels, outputs
     `counts` are those of this service alone. What starts here is put into the node's own queue; what is sent lies on
     the outputs, to be given its ticks by `arrival`.
     """
-    byte, word = slot * RECORD, slot * WORDS
+    byte, word = slot * RECORD_BYTES, slot * RECORD_WORDS
     port = np.int64(timed.bytes[byte + PORT_AT])
     digest = timed.nodes[node, TRACE]
     for k in range(3):
@@ -229,7 +229,7 @@ def arrival(timed, node, output, ready, nth, prices):
 
 
 @part
-def born(timed, node, tick, packets, at, ticks):
+def spawned(timed, node, tick, packets, at, ticks):
     """The node bears a ray or pixel packet, lying at `at` of packets, from `tick` on, which takes so many ticks."""
     end = tick + ticks
     _note(timed, node, tick, end)
@@ -238,16 +238,16 @@ def born(timed, node, tick, packets, at, ticks):
 
 @part
 def decides(timed, node, may_bear):
-    """Tick of the next decision of a node as far as it is known, NEVER if nothing that is known leads to one."""
+    """Tick of the next decision of a node as far as it is known, NEVER_TICK if nothing that is known leads to one."""
     free = timed.nodes[node, FREE]
-    if may_bear or timed.nodes[node, WAITING] > 0:
+    if may_bear or timed.nodes[node, PACKETS_WAITING] > 0:
         return free
     return max(free, earliest(timed, node))
 
 
 # --- one node as a process ----------------------------------------------------------------------------
 
-IDLE, BLOCKED, FULL = 0, 1, 2  # why `advance` returns
+CLOCK_IDLE, CLOCK_BLOCKED, CLOCK_FULL = 0, 1, 2  # why `advance` returns
 
 
 class Stamps(NamedTuple):
@@ -277,7 +277,7 @@ def next_decision(timed, may_bear):
 def advance(
     timed, horizon, cell, space, frame, surfaces, pixels, cursor, scratch, outputs, stamps, counts, total, prices
 ):
-    """Carry out all decisions before tick `horizon`; IDLE, BLOCKED or FULL.
+    """Carry out all decisions before tick `horizon`; IDLE, CLOCK_BLOCKED or FULL.
 
     scratch  uint8 (25,), a new primary ray; counts, total: int64 (COUNTS,), of a service and of the frame
     FULL: the outputs or the store have no room for what one more service may send.
@@ -285,22 +285,22 @@ def advance(
     most = frame.n_lights + 3
     while True:
         tick = decides(timed, 0, cursor[DONE] == 0)
-        if tick >= NEVER:
-            return IDLE
+        if tick >= NEVER_TICK:
+            return CLOCK_IDLE
         if tick >= horizon:
-            return BLOCKED
+            return CLOCK_BLOCKED
         room = timed.spare[1]
         for output in range(PORTS + 1):
             room = min(room, stamps.ticks.shape[1] - outputs.held[output])
         if room < most:
-            return FULL
+            return CLOCK_FULL
         gather(timed, 0, tick)
-        if timed.nodes[0, WAITING] == 0:
+        if timed.nodes[0, PACKETS_WAITING] == 0:
             if (
                 cursor[DONE] == 0
-                and bear_primaries(cell, space, frame, pixels, cursor, scratch, 0, 1, outputs.seen, total) == 1
+                and spawn_primaries(cell, space, frame, pixels, cursor, scratch, 0, 1, outputs.seen, total) == 1
             ):
-                born(timed, 0, tick, scratch, 0, prices.counts[BORN + PRIMARY])
+                spawned(timed, 0, tick, scratch, 0, prices.counts[BORN + PRIMARY])
             continue
         slot = take(timed, 0, tick)
         done = serve(timed, 0, slot, tick, cell, space, frame, surfaces, pixels, outputs, counts, prices)

@@ -23,29 +23,29 @@ from raygrid.node.protocol.counters import COUNTS
 from raygrid.node.protocol.messages import HEAD, MessageKind
 from raygrid.node.protocol.packets import FAULTS, SIZE, first_fault
 from raygrid.node.protocol.timestamps import (
-    LAST,
-    Enquiry,
+    LAST_TICK,
+    LookaheadRequest,
     Prices,
-    pack_enquiry,
+    pack_lookahead,
     pack_stamped,
-    read_enquiry,
+    read_lookahead,
     read_prices,
     read_stamped,
 )
 from raygrid.node.runtime.processor import Processor
-from raygrid.node.timed.lookahead import Enquiries
+from raygrid.node.timed.lookahead import Lookahead
 from raygrid.node.timed.service_clock import (
-    BLOCKED,
     BUSY,
+    CLOCK_BLOCKED,
+    CLOCK_FULL,
+    CLOCK_IDLE,
     ENDED,
     FREE,
-    FULL,
-    IDLE,
     LINK_FREE,
     LIST_TICKS,
     MOST_WAITING,
     PACKETS_SENT,
-    SERVED,
+    PACKETS_SERVED,
     TRACE,
     WAITED,
     WALKED,
@@ -53,12 +53,12 @@ from raygrid.node.timed.service_clock import (
     advance,
     grown,
     insert,
-    make_timed,
+    make_service_clock,
     next_decision,
 )
 from raygrid.node.tracing.primaries import DONE
 
-FIRST_ROOM = 4096  # packets of the store; doubled whenever they do not suffice
+FIRST_CLOCK_ROOM = 4096  # packets of the store; doubled whenever they do not suffice
 
 
 class TimedProcessor(Processor):
@@ -69,12 +69,12 @@ class TimedProcessor(Processor):
         self._neighbours = [port for port in self.links if port != HOST]
         self._prices: Prices | None = None  # of the frame that is being traced in machine time
         self._started = False
-        self._why = IDLE
+        self._why = CLOCK_IDLE
         self._frame_number = 0
         self._told = [0] * PORTS  # promises of the neighbours
         self._enquiries = self._new_enquiries(0)
         self._dirty = False
-        self.timed = make_timed(1, FIRST_ROOM)
+        self.timed = make_service_clock(1, FIRST_CLOCK_ROOM)
         self._scratch, self._counts = np.zeros(SIZE, np.uint8), np.zeros(COUNTS, np.int64)
         self._stamps = self._new_stamps()
 
@@ -82,12 +82,12 @@ class TimedProcessor(Processor):
         room = (self.tracer.outputs.data.shape[1] - HEAD) // SIZE
         return Stamps(np.zeros((PORTS + 1, room), np.int64), np.zeros(PORTS + 1, np.int64))
 
-    def _new_enquiries(self, first: int) -> Enquiries:
+    def _new_enquiries(self, first: int) -> Lookahead:
         """No questions yet; nothing arrives before tick `first`."""
         ports = self._neighbours
         lookahead = 1 if self._prices is None else self._prices.lookahead
         bound = dict.fromkeys(ports, first)
-        return Enquiries(self.index, self._frame_number, lookahead, ports, self._post_enquiry, self._decision, bound)
+        return Lookahead(self.index, self._frame_number, lookahead, ports, self._post_enquiry, self._decision, bound)
 
     # --- orders ------------------------------------------------------------------------------------
 
@@ -97,7 +97,7 @@ class TimedProcessor(Processor):
         if do == "frame":
             self._begin_frame(order)
         elif do in ("collect", "halt", "space"):
-            self._prices, self._started, self._why = None, False, IDLE
+            self._prices, self._started, self._why = None, False, CLOCK_IDLE
 
     def _admit(self, quota: int, gather: int, nap: int, flush: int) -> None:
         super()._admit(quota, gather, nap, flush)
@@ -107,13 +107,13 @@ class TimedProcessor(Processor):
 
     def _begin_frame(self, order: dict[str, Any]) -> None:
         found = read_prices(order)
-        self._started, self._why = False, IDLE
+        self._started, self._why = False, CLOCK_IDLE
         self._prices = None
         if found is None:
             return
         self._prices, tests = found
         self._frame_number = int(order.get("wave", 0)) & 0xFFFFFFFF
-        self.timed, self._stamps = make_timed(1, FIRST_ROOM), self._new_stamps()
+        self.timed, self._stamps = make_service_clock(1, FIRST_CLOCK_ROOM), self._new_stamps()
         held = [sum(len(batch) for batch in self.tracer.retained if batch.kind == kind) for kind in Kind]
         self.timed.nodes[0, LIST_TICKS] = int(np.array(held) @ tests)
         first = self._prices.lookahead  # nobody has decided anything yet
@@ -131,7 +131,7 @@ class TimedProcessor(Processor):
             if arrival.kind is MessageKind.STAMPED:
                 self._take_stamped(port, arrival)
             else:
-                enquiry = read_enquiry(arrival.message)
+                enquiry = read_lookahead(arrival.message)
                 if self._is_current(enquiry.frame):
                     self._rely_on(port, enquiry.promise)
                     self._enquiries.take(port, enquiry)
@@ -172,10 +172,10 @@ class TimedProcessor(Processor):
     @property
     def busy(self) -> bool:
         """Whether `work` has something to do now."""
-        return super().busy or (self._started and (self._dirty or self._why == FULL))
+        return super().busy or (self._started and (self._dirty or self._why == CLOCK_FULL))
 
     def _idle(self) -> bool:
-        return super()._idle() and not (self._started and self._why == BLOCKED)
+        return super()._idle() and not (self._started and self._why == CLOCK_BLOCKED)
 
     def work(self, wait: bool = False) -> bool:
         """Carry out what the promises allow, send what came of it, then do one piece of other work."""
@@ -184,7 +184,7 @@ class TimedProcessor(Processor):
             self._advance()
             self._send()
             self._enquiries.turn()
-            if self._why == BLOCKED:
+            if self._why == CLOCK_BLOCKED:
                 self._enquiries.ask(self._decision())
         return super().work()
 
@@ -211,10 +211,10 @@ class TimedProcessor(Processor):
         row = self.timed.nodes[0]
         decision = min(self._decision(), max(int(row[FREE]), self._enquiries.horizon()))
         after_others = int(row[LINK_FREE + port]) + self._prices.transmit + self._prices.latency
-        return min(max(decision + self._prices.lookahead, after_others), LAST)
+        return min(max(decision + self._prices.lookahead, after_others), LAST_TICK)
 
-    def _post_enquiry(self, port: int, enquiry: Enquiry) -> None:
-        payload = pack_enquiry(enquiry._replace(promise=self._promise(port)))
+    def _post_enquiry(self, port: int, enquiry: LookaheadRequest) -> None:
+        payload = pack_lookahead(enquiry._replace(promise=self._promise(port)))
         self.links[port].send_data(MessageKind.ENQUIRY, 0, payload)
 
     def _send(self) -> None:
@@ -247,7 +247,7 @@ class TimedProcessor(Processor):
         """As of any processor, and how it spent machine time."""
         row = self.timed.nodes[0].tolist()
         machine = {
-            "served": row[SERVED],
+            "served": row[PACKETS_SERVED],
             "busy_ticks": row[BUSY],
             "waited_ticks": row[WAITED],
             "most_waiting": row[MOST_WAITING],

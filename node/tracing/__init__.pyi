@@ -16,10 +16,10 @@ from .output_queues import Outputs as Outputs
 from .output_queues import make_outputs as make_outputs
 from .primaries import COARSEST as COARSEST
 from .primaries import DONE as DONE
-from .primaries import bear_primaries as bear_primaries
-from .primaries import bear_primary as bear_primary
-from .primaries import bear_sample as bear_sample
 from .primaries import new_cursor as new_cursor
+from .primaries import spawn_primaries as spawn_primaries
+from .primaries import spawn_primary as spawn_primary
+from .primaries import spawn_sample as spawn_sample
 from .shading import light_direction as light_direction
 from .shading import normals as normals
 from .shading import place as place
@@ -29,4 +29,4 @@ from .traverse import FAREST as FAREST
 from .traverse import closest as closest
 from .traverse import for_boxes as for_boxes
 from .work_queues import BYTES_A_PACKET as BYTES_A_PACKET
-from .work_queues import FIRST_ROOM as FIRST_ROOM
+from .work_queues import FIRST_QUEUE_ROOM as FIRST_QUEUE_ROOM

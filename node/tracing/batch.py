@@ -12,17 +12,22 @@ from raygrid.node.jit.intrinsics import copy_bytes
 from raygrid.node.protocol.messages import HEAD
 from raygrid.node.protocol.packets import SIZE
 from raygrid.node.tracing.output_queues import fullest
-from raygrid.node.tracing.primaries import DONE, bear_primaries
+from raygrid.node.tracing.primaries import DONE, spawn_primaries
 from raygrid.node.tracing.step import step
-from raygrid.node.tracing.work_queues import CLASSES, MOST, RAYS, SHADOWS, TRAVELLERS
+from raygrid.node.tracing.work_queues import CLASSES, IN_TRANSIT, MOST, RAYS, SHADOWS
 
 PORTION = 2048  # packets in a call of the step
-TURN = 8192  # packets after which the links are looked at
+BATCH_RAYS = 8192  # packets after which the links are looked at
 WORTHWHILE = 256  # packets for which a portion is worth more than serving classes strictly in order
 ADMIT_BELOW = 1024  # primaries are born only while fewer rays than this wait
 ADMIT_AT_ONCE = 2048
 # why a turn ended
-IDLE, LONG, FULL, CROWDED = 0, 1, 2, 3  # nothing waits; TURN packets were served; an output, or a stack, is full
+BATCH_IDLE, BATCH_LONG, BATCH_FULL, BATCH_CROWDED = (
+    0,
+    1,
+    2,
+    3,
+)  # nothing waits; TURN packets were served; an output, or a stack, is full
 
 
 @part
@@ -62,14 +67,14 @@ def _take_own(outputs, output, packets, ports, held):
 
 
 @part
-def turn(cell, space, frame, surfaces, pixels, cursor, quota, pace, stacks, held, outputs, counts):
+def run_batch(cell, space, frame, surfaces, pixels, cursor, quota, pace, stacks, held, outputs, counts):
     """Serve what waits until nothing does or one of the reasons above. Returns (quota left, why it ended, packets
     served).
 
     quota   primaries that may be born
     pace    (packets after which it ends, rays that wait below which primaries are born, primaries born at once)
     stacks  `backlog.Stacks`; held: int64 (CLASSES + 1,), updated
-    The other arguments are those of `step` and `bear_primaries`.
+    The other arguments are those of `step` and `spawn_primaries`.
     """
     served = 0
     room = (outputs.data.shape[1] - HEAD) // SIZE
@@ -78,8 +83,8 @@ def turn(cell, space, frame, surfaces, pixels, cursor, quota, pace, stacks, held
         if quota > 0 and cursor[DONE] == 0 and held[RAYS] < pace[1]:
             many = min(quota, min(pace[2], len(stacks.ray_ports) - held[RAYS]))
             if many == 0:
-                return quota, CROWDED, served
-            made = bear_primaries(
+                return quota, BATCH_CROWDED, served
+            made = spawn_primaries(
                 cell, space, frame, pixels, cursor, stacks.rays, held[RAYS], many, outputs.seen, counts
             )
             for k in range(held[RAYS], held[RAYS] + made):
@@ -89,13 +94,13 @@ def turn(cell, space, frame, surfaces, pixels, cursor, quota, pace, stacks, held
             served += made
         kind = _most_urgent(held)
         if kind < 0:
-            return quota, IDLE, served
+            return quota, BATCH_IDLE, served
         first = max(0, held[kind] - PORTION)
         many = (held[kind] - first) * lights
         if held[SHADOWS] + many > len(stacks.shadow_ports) or held[RAYS] + many > len(stacks.ray_ports):
-            return quota, CROWDED, served
+            return quota, BATCH_CROWDED, served
         packets, ports = stacks.rays, stacks.ray_ports
-        if kind == TRAVELLERS:
+        if kind == IN_TRANSIT:
             packets, ports = stacks.travellers, stacks.traveller_ports
         elif kind == SHADOWS:
             packets, ports = stacks.shadows, stacks.shadow_ports
@@ -103,8 +108,8 @@ def turn(cell, space, frame, surfaces, pixels, cursor, quota, pace, stacks, held
         held[kind] = _sink(packets, ports, first, done, held[kind])
         held[SHADOWS] = _take_own(outputs, SELF, stacks.shadows, stacks.shadow_ports, held[SHADOWS])
         held[RAYS] = _take_own(outputs, SELF_RAYS, stacks.rays, stacks.ray_ports, held[RAYS])
-        held[MOST] = max(held[MOST], held[TRAVELLERS] + held[SHADOWS] + held[RAYS])
+        held[MOST] = max(held[MOST], held[IN_TRANSIT] + held[SHADOWS] + held[RAYS])
         served += done - first
         if room - fullest(outputs.held) < frame.n_lights + 2:
-            return quota, FULL, served
-    return quota, LONG, served
+            return quota, BATCH_FULL, served
+    return quota, BATCH_LONG, served

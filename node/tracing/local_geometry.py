@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.node.geometry.bvh import WORDS, build
+from raygrid.node.geometry.bvh import NODE_WORDS, build
 from raygrid.node.geometry.bvh_refit import refitted
 from raygrid.node.geometry.intersect import (
     CONE_AXIS,
@@ -219,7 +219,7 @@ def _assembled(batches: list[Batch], order: NDArray[np.intp], floats: NDArray[np
 @cache
 def empty_surfaces() -> Surfaces:
     """The tables of a node that retains nothing: no hierarchy, which the ray step skips. Not to be written to."""
-    floats = np.zeros((0, WORDS), np.float32)
+    floats = np.zeros((0, NODE_WORDS), np.float32)
     numbers = np.zeros(0, np.uint32)
     return Surfaces(floats, floats.view(np.uint32), numbers, numbers, np.zeros(0, np.uint16), *_tables({}))
 

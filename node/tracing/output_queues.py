@@ -22,20 +22,20 @@ from raygrid.node.protocol.packets import RETURN, SIZE, copy_packet, put_return
 from raygrid.node.tracing.camera import home
 from raygrid.node.tracing.framebuffer import fixed_point, slot
 from raygrid.node.tracing.primary_rays import (
-    Seen,
+    PrimaryBatch,
     entered_at,
-    make_seen,
+    make_primary_batch,
     note_return,
     noted_return,
     pixel_of,
     work_out_returns,
 )
-from raygrid.node.tracing.ray_setup import AHEAD, Ahead, make_ahead
+from raygrid.node.tracing.ray_setup import SETUP_RAYS, RaySetup, make_ray_setup
 from raygrid.node.tracing.spawn import (
-    RAY_BROOD,
-    SHADOW_BROOD,
-    Newborn,
-    make_newborn,
+    RAY_BATCH,
+    SHADOW_BATCH,
+    SpawnBatch,
+    make_spawn_batch,
     note,
     put,
     starts_behind,
@@ -52,9 +52,9 @@ class Outputs(NamedTuple):
     data: NDArray[np.uint8]
     held: NDArray[np.int64]
     stack: NDArray[np.int64]
-    ahead: Ahead
-    newborn: Newborn
-    seen: Seen
+    ahead: RaySetup
+    newborn: SpawnBatch
+    seen: PrimaryBatch
 
 
 def make_outputs(room: int, stack: int) -> Outputs:
@@ -63,9 +63,9 @@ def make_outputs(room: int, stack: int) -> Outputs:
         np.empty((OUTPUTS, HEAD + room * SIZE), np.uint8),  # zeros may write all of it
         np.zeros(OUTPUTS, np.int64),
         np.zeros(stack, np.int64),
-        make_ahead(),
-        make_newborn(),
-        make_seen(),
+        make_ray_setup(),
+        make_spawn_batch(),
+        make_primary_batch(),
     )
 
 
@@ -99,7 +99,7 @@ def hand_on_all(packets, first, numbers, begin, many, ways, outputs, counts):
     for port in range(HOST + 1):
         counts[SENT + port] -= held[port]
     for k in range(begin, begin + many):
-        j = numbers[k] & (AHEAD - 1)
+        j = numbers[k] & (SETUP_RAYS - 1)
         port = ways[j] & 7
         copy_packet(packets, (first + j) * SIZE, data[port], HEAD + held[port] * SIZE)
         held[port] += 1
@@ -149,22 +149,22 @@ def keep(pixels, pixel, intensity, counts):
 
 
 @part
-def bear(cell, space, brood, kind, sample, depth, light, p, g, d, weight, outputs, counts):
+def emit(cell, space, brood, kind, sample, depth, light, p, g, d, weight, outputs, counts):
     """Note a birth, and write all that are noted if there is room for no more."""
     counts[BORN + kind] += 1
     head = kind | (depth << 3) | (sample << 8)
     if note(outputs.newborn, brood, head, light, p, g, d, weight):
-        _write_newborn(cell, space, brood, outputs, counts)
+        _write_spawned(cell, space, brood, outputs, counts)
 
 
 @part
-def _write_newborn(cell, space, brood, outputs, counts):
+def _write_spawned(cell, space, brood, outputs, counts):
     """Put all births of a brood that are noted on the outputs."""
     newborn = outputs.newborn
     work_out(cell, space, newborn, brood)
     for j in range(newborn.held[brood]):
         ports = starts_behind(newborn, brood, j)
-        output = SELF if brood == SHADOW_BROOD else SELF_RAYS
+        output = SELF if brood == SHADOW_BATCH else SELF_RAYS
         if ports != 0:
             output = 0
             while (ports >> output) & 1 == 0:
@@ -177,15 +177,15 @@ def _write_newborn(cell, space, brood, outputs, counts):
 @part
 def write_all_noted(cell, space, frame, pixels, outputs, counts):
     """Put all that is noted on the outputs."""
-    _write_newborn(cell, space, SHADOW_BROOD, outputs, counts)
-    _write_newborn(cell, space, RAY_BROOD, outputs, counts)
+    _write_spawned(cell, space, SHADOW_BATCH, outputs, counts)
+    _write_spawned(cell, space, RAY_BATCH, outputs, counts)
     _write_returns(cell, space, frame, pixels, outputs, counts)
 
 
 @part
 def noted(outputs):
     """Packets that are noted: they may all go to one output."""
-    return outputs.newborn.held[SHADOW_BROOD] + outputs.newborn.held[RAY_BROOD] + outputs.seen.held[0]
+    return outputs.newborn.held[SHADOW_BATCH] + outputs.newborn.held[RAY_BATCH] + outputs.seen.held[0]
 
 
 @part

@@ -14,11 +14,18 @@ from raygrid.node.protocol.counters import BORN
 from raygrid.node.protocol.packets import PRIMARY, SIZE
 from raygrid.node.tracing.camera import image_point
 from raygrid.node.tracing.framebuffer import slot
-from raygrid.node.tracing.primary_rays import LOT, PLACE, is_at_home, note_primary, put_primary, work_out_primaries
+from raygrid.node.tracing.primary_rays import (
+    PRIMARY_PLACE,
+    PRIMARY_ROOM,
+    is_at_home,
+    note_primary,
+    put_primary,
+    work_out_primaries,
+)
 
 COARSEST = 3  # log2 of the stride of the first level
 # fields of the cursor
-NUMBER, LEVEL, ROW, COLUMN, DONE = 0, 1, 2, 3, 4
+NEXT_SAMPLE, LEVEL, ROW, COLUMN, DONE = 0, 1, 2, 3, 4
 CURSOR = 5
 
 
@@ -31,15 +38,15 @@ def new_cursor(has_pixels: bool) -> np.ndarray:
 
 
 @lean
-def bear_primaries(cell, space, frame, pixels, cursor, packets, first, room, seen, counts):
+def spawn_primaries(cell, space, frame, pixels, cursor, packets, first, room, seen, counts):
     """Write up to `room` primary rays to `packets` (uint8) from packet number `first`; returns how many.
 
     `cursor` keeps the place between calls; cursor[DONE] is 1 when no sample is left. `seen`: scratch (`node.tracing.primary_rays`).
     """
     made = 0
     while made < room and cursor[DONE] == 0:
-        _note_samples(frame, pixels, cursor, min(LOT, room - made), seen)
-        made += _bear_noted(cell, space, frame, pixels, packets, first + made, seen)
+        _note_samples(frame, pixels, cursor, min(PRIMARY_ROOM, room - made), seen)
+        made += _spawn_noted(cell, space, frame, pixels, packets, first + made, seen)
     counts[BORN + PRIMARY] += made
     return made
 
@@ -59,7 +66,7 @@ def _note_samples(frame, pixels, cursor, many, seen):
             i += (stride - i % stride) % stride
             while i < end and seen.held[0] < many:
                 if not (coarser and i % (2 * stride) == 0):
-                    _note(frame, i, j, pixels.offsets[row] + i - pixels.first[row], cursor[NUMBER], seen)
+                    _note(frame, i, j, pixels.offsets[row] + i - pixels.first[row], cursor[NEXT_SAMPLE], seen)
                 i += stride
             cursor[COLUMN] = i
             if i < end:
@@ -81,14 +88,14 @@ def _note(frame, i, j, place, number, seen):
 
 
 @part
-def _bear_noted(cell, space, frame, pixels, packets, first, seen):
+def _spawn_noted(cell, space, frame, pixels, packets, first, seen):
     """Write the primary rays of those samples that were noted whose home is here; returns how many."""
     work_out_primaries(cell, space, frame, seen)
     made = 0
     for j in range(seen.held[0]):
         if is_at_home(seen, j):
             put_primary(seen, j, packets, (first + made) * SIZE)
-            pixels.samples[seen.words[PLACE * LOT + j]] += 1
+            pixels.samples[seen.words[PRIMARY_PLACE * PRIMARY_ROOM + j]] += 1
             made += 1
     seen.held[0] = 0
     return made
@@ -100,21 +107,21 @@ def _next_level(frame, cursor):
     cursor[LEVEL] -= 1
     if cursor[LEVEL] < 0:
         cursor[LEVEL] = COARSEST
-        cursor[NUMBER] += 1
-        if cursor[NUMBER] >= frame.samples:
+        cursor[NEXT_SAMPLE] += 1
+        if cursor[NEXT_SAMPLE] >= frame.samples:
             cursor[DONE] = 1
 
 
 @part
-def bear_sample(cell, space, frame, pixels, i, j, place, number, packet, seen):
-    """As `bear_primary`, of a pixel at this place in the store, and uncounted."""
+def spawn_sample(cell, space, frame, pixels, i, j, place, number, packet, seen):
+    """As `spawn_primary`, of a pixel at this place in the store, and uncounted."""
     _note(frame, i, j, place, number, seen)
-    return _bear_noted(cell, space, frame, pixels, packet, 0, seen)
+    return _spawn_noted(cell, space, frame, pixels, packet, 0, seen)
 
 
 @lean
-def bear_primary(cell, space, frame, pixels, i, j, number, packet, seen, counts):
+def spawn_primary(cell, space, frame, pixels, i, j, number, packet, seen, counts):
     """Write the primary ray of one sample of pixel (i, j) to `packet` if its home is here; returns 1 or 0."""
-    made = bear_sample(cell, space, frame, pixels, i, j, slot(pixels, i, j), number, packet, seen)
+    made = spawn_sample(cell, space, frame, pixels, i, j, slot(pixels, i, j), number, packet, seen)
     counts[BORN + PRIMARY] += made
     return made

@@ -26,23 +26,23 @@ from raygrid.node.tracing.camera import R2_X, R2_Y, TRIES
 from raygrid.node.tracing.ray_setup import behind, corners, inverse_eight
 from raygrid.node.tracing.spawn import nearest_eight, next_on_lattice, put_made, rest_of_ray, words_of
 
-LOT = 128  # samples that are noted before they are worked out; a multiple of EIGHT
+PRIMARY_ROOM = 128  # samples that are noted before they are worked out; a multiple of EIGHT
 # rows of `facts`: of a primary the point in the image; of a return its intensity
-X, Y, INTENSITY, FACTS = 0, 1, 2, 5
+IMAGE_X, IMAGE_Y, RETURN_INTENSITY, PRIMARY_FACTS = 0, 1, 2, 5
 # rows of `words`: the first five bytes of a packet, the place in the store of its pixel; then of a primary the packet's
 # words (`newborn.words_of`), and the ports behind which it enters, or a number below 0; of a return the point where its
 # sample's ray enters, and column and row of its pixel
-HEAD, PLACE = 0, 1
-WORD, BEHIND, POINT, PIXEL, WORDS = 2, 6, 2, 5, 7
+PRIMARY_HEAD, PRIMARY_PLACE = 0, 1
+PRIMARY_WORD, PRIMARY_BEHIND, PRIMARY_POINT, PRIMARY_PIXEL, PRIMARY_WORDS = 2, 6, 2, 5, 7
 WHITE = int(pack_weight(1.0, 1.0, 1.0))
-NOWHERE = -1
-CAMERA = 18  # numbers of a camera
+NO_HOME = -1
+CAMERA_COLUMNS = 18  # numbers of a camera
 
 
-class Seen(NamedTuple):
+class PrimaryBatch(NamedTuple):
     """Samples that are noted, a column each; flat.
 
-    facts  float64 (FACTS * LOT,); words  int64 (WORDS * LOT,); held  int64 (1,)
+    facts  float64 (PRIMARY_FACTS * LOT,); words  int64 (PRIMARY_WORDS * LOT,); held  int64 (1,)
     """
 
     facts: NDArray[np.float64]
@@ -50,9 +50,11 @@ class Seen(NamedTuple):
     held: NDArray[np.int64]
 
 
-def make_seen() -> Seen:
+def make_primary_batch() -> PrimaryBatch:
     """No samples."""
-    return Seen(np.zeros(FACTS * LOT), np.zeros(WORDS * LOT, np.int64), np.zeros(1, np.int64))
+    return PrimaryBatch(
+        np.zeros(PRIMARY_FACTS * PRIMARY_ROOM), np.zeros(PRIMARY_WORDS * PRIMARY_ROOM, np.int64), np.zeros(1, np.int64)
+    )
 
 
 # --- primaries -----------------------------------------------------------------------------------------
@@ -61,9 +63,12 @@ def make_seen() -> Seen:
 @part
 def note_primary(seen, x, y, sample, place):
     """Note a sample whose ray may be born; `place`: of its pixel in the store."""
-    j = seen.held[0] & (LOT - 1)
-    seen.facts[X * LOT + j], seen.facts[Y * LOT + j] = x, y
-    seen.words[HEAD * LOT + j], seen.words[PLACE * LOT + j] = PRIMARY | (1 << 3) | (sample << 8), place
+    j = seen.held[0] & (PRIMARY_ROOM - 1)
+    seen.facts[IMAGE_X * PRIMARY_ROOM + j], seen.facts[IMAGE_Y * PRIMARY_ROOM + j] = x, y
+    seen.words[PRIMARY_HEAD * PRIMARY_ROOM + j], seen.words[PRIMARY_PLACE * PRIMARY_ROOM + j] = (
+        PRIMARY | (1 << 3) | (sample << 8),
+        place,
+    )
     seen.held[0] = j + 1
 
 
@@ -77,13 +82,13 @@ def work_out_primaries(cell, space, frame, seen):
 @part
 def is_at_home(seen, j):
     """Whether the ray of a sample that was worked out enters the world box in this cell."""
-    return seen.words[BEHIND * LOT + j] == 0
+    return seen.words[PRIMARY_BEHIND * PRIMARY_ROOM + j] == 0
 
 
 @part
 def put_primary(seen, j, row, at):
     """Write the packet of a sample that was worked out."""
-    put_made(seen.words, WORD * LOT + j, LOT, row, at)
+    put_made(seen.words, PRIMARY_WORD * PRIMARY_ROOM + j, PRIMARY_ROOM, row, at)
 
 
 # --- homes of returns ----------------------------------------------------------------------------------
@@ -92,12 +97,12 @@ def put_primary(seen, j, row, at):
 @part
 def note_return(seen, frame, sample, depth, intensity):
     """Note a return packet to be born; whether there is room for no more."""
-    j = seen.held[0] & (LOT - 1)
+    j = seen.held[0] & (PRIMARY_ROOM - 1)
     for k in range(3):
-        seen.facts[(INTENSITY + k) * LOT + j] = intensity[k]
-    seen.words[HEAD * LOT + j] = (depth << 32) | sample
+        seen.facts[(RETURN_INTENSITY + k) * PRIMARY_ROOM + j] = intensity[k]
+    seen.words[PRIMARY_HEAD * PRIMARY_ROOM + j] = (depth << 32) | sample
     seen.held[0] = j + 1
-    return j + 1 == LOT
+    return j + 1 == PRIMARY_ROOM
 
 
 @part
@@ -113,23 +118,27 @@ def work_out_returns(space, frame, seen):
 def entered_at(seen, j):
     """Lattice point at which the ray of a sample that was worked out enters the world box."""
     words = seen.words
-    return words[POINT * LOT + j], words[(POINT + 1) * LOT + j], words[(POINT + 2) * LOT + j]
+    return (
+        words[PRIMARY_POINT * PRIMARY_ROOM + j],
+        words[(PRIMARY_POINT + 1) * PRIMARY_ROOM + j],
+        words[(PRIMARY_POINT + 2) * PRIMARY_ROOM + j],
+    )
 
 
 @part
 def pixel_of(seen, j):
     """Column and row of the pixel of a sample that was worked out."""
-    return seen.words[PIXEL * LOT + j], seen.words[(PIXEL + 1) * LOT + j]
+    return seen.words[PRIMARY_PIXEL * PRIMARY_ROOM + j], seen.words[(PRIMARY_PIXEL + 1) * PRIMARY_ROOM + j]
 
 
 @part
 def noted_return(seen, j):
     """(sample, depth, intensity) of a return packet that was noted."""
-    head, facts = seen.words[HEAD * LOT + j], seen.facts
+    head, facts = seen.words[PRIMARY_HEAD * PRIMARY_ROOM + j], seen.facts
     intensity = (
-        np.float32(facts[INTENSITY * LOT + j]),
-        np.float32(facts[(INTENSITY + 1) * LOT + j]),
-        np.float32(facts[(INTENSITY + 2) * LOT + j]),
+        np.float32(facts[RETURN_INTENSITY * PRIMARY_ROOM + j]),
+        np.float32(facts[(RETURN_INTENSITY + 1) * PRIMARY_ROOM + j]),
+        np.float32(facts[(RETURN_INTENSITY + 2) * PRIMARY_ROOM + j]),
     )
     return head & 0xFFFFFFFF, head >> 32, intensity
 
@@ -209,9 +218,9 @@ def _beside_ray(p: list[Lanes], d: list[Lanes], step: list[Lanes]) -> list[Lanes
 
 def _tables(context: Any, builder: Any, signature: Any, args: Any) -> tuple[Table, Table, list[Lanes], list[Lanes]]:
     """Facts, words, camera and step among the arguments of an intrinsic."""
-    facts, words = (Table(context, builder, signature.args[k], args[k], args[2], LOT) for k in range(2))
+    facts, words = (Table(context, builder, signature.args[k], args[k], args[2], PRIMARY_ROOM) for k in range(2))
     camera = context.make_array(signature.args[3])(context, builder, args[3]).data
-    numbers = [builder.load(builder.gep(camera, [context.get_constant(types.intp, k)])) for k in range(CAMERA)]
+    numbers = [builder.load(builder.gep(camera, [context.get_constant(types.intp, k)])) for k in range(CAMERA_COLUMNS)]
     return facts, words, [splat(builder, number) for number in numbers], splats(builder, args[4])
 
 
@@ -220,13 +229,13 @@ def _make_primary_words(typingctx: Any, facts: Any, words: Any, at: Any, camera:
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         known, made, numbers, steps = _tables(context, builder, signature, args)
-        origin, d = _eye_ray(numbers, known.read(X), known.read(Y))
+        origin, d = _eye_ray(numbers, known.read(IMAGE_X), known.read(IMAGE_Y))
         enters, point, start = _entry(origin, d, steps)
-        head = made.read(HEAD)
+        head = made.read(PRIMARY_HEAD)
         for k, word in enumerate(words_of(head, _beside_ray(start, d, steps), rest_of_ray(d, head.every(WHITE)))):
-            made.write(WORD + k, word)
+            made.write(PRIMARY_WORD + k, word)
         ports = behind(point, splats(builder, args[5])).as_long()
-        made.write(BEHIND, enters.choose(ports, ports.every(NOWHERE)))
+        made.write(PRIMARY_BEHIND, enters.choose(ports, ports.every(NO_HOME)))
         return context.get_dummy_value()
 
     tuples = types.UniTuple(types.float64, 3), types.UniTuple(types.int32, 6)
@@ -241,13 +250,13 @@ def _make_entries(typingctx: Any, facts: Any, words: Any, at: Any, camera: Any, 
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         _, made, numbers, steps = _tables(context, builder, signature, args)
-        pixel, image = _image_point(made.read(HEAD) & 0xFFFFFFFF, *splats(builder, args[5]))
+        pixel, image = _image_point(made.read(PRIMARY_HEAD) & 0xFFFFFFFF, *splats(builder, args[5]))
         origin, direction = _eye_ray(numbers, *image)
         _, point, _ = _entry(origin, direction, steps)
         for axis in range(3):
-            made.write(POINT + axis, point[axis].as_long())
+            made.write(PRIMARY_POINT + axis, point[axis].as_long())
         for k in range(2):
-            made.write(PIXEL + k, pixel[k].as_number())
+            made.write(PRIMARY_PIXEL + k, pixel[k].as_number())
         return context.get_dummy_value()
 
     tuples = types.UniTuple(types.float64, 3), types.UniTuple(types.float64, 2)

@@ -22,21 +22,21 @@ from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
 
-from raygrid.node.geometry.bvh import NOWHERE
+from raygrid.node.geometry.bvh import EMPTY_BOUND
 from raygrid.node.geometry.bvh_simd import LEAVE_LATER, WIDE
 from raygrid.node.geometry.grid_walk import PORTS, leaves_array
 from raygrid.node.jit.decorators import part
 from raygrid.node.jit.simd import EIGHT, Lanes, Table, least, most, splat, splats
 from raygrid.node.tracing.ray_setup import (
-    AHEAD,
-    ASTRAY,
     BOX_HIGH,
     BOX_INVERSE,
     BOX_LOW,
     BOX_PLACE,
     DISTANCE,
     LISTS,
-    ROOM,
+    NOT_AT_START,
+    SETUP_RAYS,
+    SETUP_ROOM,
     T_OUT,
     open_root_of,
 )
@@ -51,7 +51,7 @@ def box_of_all(floats):
     """The box round all that a cell holds: six binary32, low planes and high ones; one that no ray meets if that is
     nothing. `floats` as of `tables.Surfaces`."""
     if len(floats) == 0:
-        return NOWHERE, NOWHERE, NOWHERE, -NOWHERE, -NOWHERE, -NOWHERE
+        return EMPTY_BOUND, EMPTY_BOUND, EMPTY_BOUND, -EMPTY_BOUND, -EMPTY_BOUND, -EMPTY_BOUND
     return (
         _least_plane(floats, 0),
         _least_plane(floats, WIDE),
@@ -64,7 +64,7 @@ def box_of_all(floats):
 
 @part
 def _least_plane(floats, row):
-    plane = NOWHERE
+    plane = EMPTY_BOUND
     for k in range(WIDE):
         plane = min(plane, floats[0, row + k])
     return plane
@@ -72,17 +72,17 @@ def _least_plane(floats, row):
 
 @part
 def _greatest_plane(floats, row):
-    plane = -NOWHERE
+    plane = -EMPTY_BOUND
     for k in range(WIDE):
         here = floats[0, row + k]
-        plane = max(plane, here if here < NOWHERE else plane)  # lanes without a child lie nowhere
+        plane = max(plane, here if here < EMPTY_BOUND else plane)  # lanes without a child lie nowhere
     return plane
 
 
 @part
 def ends_of_array(index, shape):
-    """Bits, one a way: which ways of a cell lead to no neighbour; ASTRAY counts as one."""
-    ends = np.int64(1 << ASTRAY)
+    """Bits, one a way: which ways of a cell lead to no neighbour; NOT_AT_START counts as one."""
+    ends = np.int64(1 << NOT_AT_START)
     for port in range(PORTS):
         if leaves_array(index, shape, port):
             ends |= 1 << port
@@ -90,7 +90,7 @@ def ends_of_array(index, shape):
 
 
 @part
-def sift(surfaces, many, shadows, box, ends, ahead):
+def classify(surfaces, many, shadows, box, ends, ahead):
     """Put the numbers of all rays that were set up into the lists; how many are PASSING, ENDING and SEARCHED.
 
     box, ends  as `box_of_all` and `ends_of_array` give them
@@ -99,16 +99,18 @@ def sift(surfaces, many, shadows, box, ends, ahead):
     tops = (np.int64(0), np.int64(0), np.int64(0))
     for j in range(0, many, EIGHT):
         if shadows:
-            tops = _sift_shadows(singles, known, ways, lists, met, j, many, box, ends, tops)
+            tops = _classify_shadows(singles, known, ways, lists, met, j, many, box, ends, tops)
         else:
-            tops = _sift_rays(singles, known, ways, lists, met, j, many, box, ends, tops)
+            tops = _classify_rays(singles, known, ways, lists, met, j, many, box, ends, tops)
     passing, ending, near_by = tops
     searched = np.int64(0)
     for k in range(near_by):
-        j = lists[NEAR_BY * ROOM + k] & (AHEAD - 1)
+        j = lists[NEAR_BY * SETUP_ROOM + k] & (SETUP_RAYS - 1)
         ending_here = met[j]  # until the root is opened
         missed = open_root_of(surfaces, ahead, j) == 0
-        lists[PASSING * ROOM + passing] = lists[ENDING * ROOM + ending] = lists[SEARCHED * ROOM + searched] = j
+        lists[PASSING * SETUP_ROOM + passing] = lists[ENDING * SETUP_ROOM + ending] = lists[
+            SEARCHED * SETUP_ROOM + searched
+        ] = j
         searched += not missed
         ending += missed & (ending_here != 0)
         passing += missed & (ending_here == 0)
@@ -118,8 +120,8 @@ def sift(surfaces, many, shadows, box, ends, ahead):
 @part
 def unfinished(ahead, k, ending):
     """The number of ray k of those that are ENDING, this many, and then of those that are SEARCHED."""
-    place = ENDING * ROOM + k if k < ending else SEARCHED * ROOM + k - ending
-    return ahead.lists[place & (1024 - 1)] & (AHEAD - 1)
+    place = ENDING * SETUP_ROOM + k if k < ending else SEARCHED * SETUP_ROOM + k - ending
+    return ahead.lists[place & (1024 - 1)] & (SETUP_RAYS - 1)
 
 
 # --- eight at once -------------------------------------------------------------------------------------
@@ -138,11 +140,11 @@ def _meets(singles: Table, box: list[Lanes]) -> Lanes:
 
 def _append(builder: Any, lists: Table, which: int, numbers: Lanes, chosen: Lanes, top: Any) -> Any:
     """Append those of eight numbers that are chosen to a list that is `top` long; how long it is then."""
-    lists.at(builder.add(top, ir.Constant(top.type, which * ROOM))).write(0, numbers.in_front(chosen))
+    lists.at(builder.add(top, ir.Constant(top.type, which * SETUP_ROOM))).write(0, numbers.in_front(chosen))
     return builder.add(top, chosen.count())
 
 
-def _sift(shadows: bool) -> Any:
+def _classify(shadows: bool) -> Any:
     """The intrinsic that tells eight rays apart, of shadow rays or others."""
 
     def intrinsic_function(
@@ -164,12 +166,12 @@ def _sift(shadows: bool) -> Any:
 
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             boxes, numbers, out, found, kept = (
-                Table(context, builder, signature.args[k], args[k], args[5], AHEAD) for k in range(5)
+                Table(context, builder, signature.args[k], args[k], args[5], SETUP_RAYS) for k in range(5)
             )
             way = out.read(0)
             counting = Lanes(builder, ir.Constant(way.value.type, list(range(EIGHT)))) + splat(builder, args[5])
             valid = counting < splat(builder, args[6])
-            astray = way.equals(ASTRAY)
+            astray = way.equals(NOT_AT_START)
             ending = (splat(builder, args[8]) >> way & 1) >= 1
             if shadows:
                 ending = ending.either(numbers.read(DISTANCE) <= numbers.read(T_OUT))
@@ -192,5 +194,5 @@ def _sift(shadows: bool) -> Any:
 
 
 # kernels call them without the first argument
-_sift_rays: Any = _sift(False)
-_sift_shadows: Any = _sift(True)
+_classify_rays: Any = _classify(False)
+_classify_shadows: Any = _classify(True)

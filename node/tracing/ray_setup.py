@@ -27,33 +27,33 @@ from raygrid.node.jit.decorators import part
 from raygrid.node.jit.intrinsics import copy_bytes
 from raygrid.node.jit.simd import EIGHT, Lanes, Table, least, most, splats, within
 from raygrid.node.protocol.frame_tables import LIGHT_KIND
-from raygrid.node.protocol.frame_tables import PLACE as LIGHT_PLACE
+from raygrid.node.protocol.frame_tables import LIGHT_PLACE as LIGHT_PLACE
 from raygrid.node.protocol.packets import HALF_DIRECTION, SIZE, read_u64
 from raygrid.node.tracing.traverse import FAREST
 
 LISTS = 4
-AHEAD = 128  # rays that are set up before the first of them is looked for hits; a multiple of EIGHT
-ROOM = AHEAD + EIGHT  # of a list: eight places are written at once
-ASTRAY = 8  # the way of a ray that has to go to the cell of its origin first
+SETUP_RAYS = 128  # rays that are set up before the first of them is looked for hits; a multiple of EIGHT
+SETUP_ROOM = SETUP_RAYS + EIGHT  # of a list: eight places are written at once
+NOT_AT_START = 8  # the way of a ray that has to go to the cell of its origin first
 # rows of Ahead.words: eight bytes of a packet each, that hold its origin, and the rest of it with the direction or light
-FRONT, BACK, WORDS = 0, 1, 2
+FRONT, BACK, SETUP_WORDS = 0, 1, 2
 FRONT_BYTE, BACK_BYTE = 5, 13  # where they begin in a packet
 # rows of Ahead.known: origin, direction, inverse direction, times of entry and exit, distance of the light
-PLACE, DIRECTION, INVERSE, T_IN, T_OUT, DISTANCE, KNOWN = 0, 3, 6, 9, 10, 11, 12
+ORIGIN_COLUMN, DIRECTION_COLUMN, INVERSE_COLUMN, T_IN, T_OUT, DISTANCE, KNOWN = 0, 3, 6, 9, 10, 11, 12
 # rows of Ahead.singles, for boxes: origin, inverse direction, and the times between which they are looked for
 BOX_PLACE, BOX_INVERSE, BOX_LOW, BOX_HIGH, SINGLES = 0, 3, 6, 7, 8
 
 
-class Ahead(NamedTuple):
+class RaySetup(NamedTuple):
     """Rays that are set up, a column each; flat.
 
-    words    int64 (WORDS * AHEAD,), what their packets say; ports  uint8 (AHEAD,), by which each came
-    known    float64 (KNOWN * AHEAD,), what is worked out; of a shadow ray place and kind of its light before
-    singles  float32 (SINGLES * AHEAD,), the same as boxes want it
-    nears    int64 (3 * AHEAD,), words of a node at which each axis' near planes begin (`traverse.for_boxes`)
-    ways     int64 (AHEAD,), exit ports, or ASTRAY
+    words    int64 (SETUP_WORDS * SETUP_RAYS,), what their packets say; ports  uint8 (SETUP_RAYS,), by which each came
+    known    float64 (KNOWN * SETUP_RAYS,), what is worked out; of a shadow ray place and kind of its light before
+    singles  float32 (SINGLES * SETUP_RAYS,), the same as boxes want it
+    nears    int64 (3 * SETUP_RAYS,), words of a node at which each axis' near planes begin (`traverse.for_boxes`)
+    ways     int64 (SETUP_RAYS,), exit ports, or NOT_AT_START
     lists    int64 (LISTS * ROOM,), numbers of rays (`node.tracing.ray_classify`)
-    roots    int64 (AHEAD * WIDE,), keys of the root's boxes that each ray meets (`node.geometry.bvh_simd`); met  int64 (AHEAD,), how many
+    roots    int64 (SETUP_RAYS * WIDE,), keys of the root's boxes that each ray meets (`node.geometry.bvh_simd`); met  int64 (SETUP_RAYS,), how many
     """
 
     words: NDArray[np.int64]
@@ -67,18 +67,18 @@ class Ahead(NamedTuple):
     met: NDArray[np.int64]
 
 
-def make_ahead() -> Ahead:
-    """Room for AHEAD rays."""
-    return Ahead(
-        np.zeros(WORDS * AHEAD, np.int64),
-        np.zeros(AHEAD, np.uint8),
-        np.zeros(KNOWN * AHEAD),
-        np.zeros(SINGLES * AHEAD, np.float32),
-        np.zeros(3 * AHEAD, np.int64),
-        np.zeros(AHEAD, np.int64),
-        np.zeros(LISTS * ROOM, np.int64),
-        np.zeros(AHEAD * WIDE, np.int64),
-        np.zeros(AHEAD, np.int64),
+def make_ray_setup() -> RaySetup:
+    """Room for SETUP_RAYS rays."""
+    return RaySetup(
+        np.zeros(SETUP_WORDS * SETUP_RAYS, np.int64),
+        np.zeros(SETUP_RAYS, np.uint8),
+        np.zeros(KNOWN * SETUP_RAYS),
+        np.zeros(SINGLES * SETUP_RAYS, np.float32),
+        np.zeros(3 * SETUP_RAYS, np.int64),
+        np.zeros(SETUP_RAYS, np.int64),
+        np.zeros(LISTS * SETUP_ROOM, np.int64),
+        np.zeros(SETUP_RAYS * WIDE, np.int64),
+        np.zeros(SETUP_RAYS, np.int64),
     )
 
 
@@ -103,7 +103,7 @@ def _unit_vector(codes: list[Lanes], _known: Table, _places: list[Lanes]) -> tup
 
 def _light_direction(_codes: list[Lanes], known: Table, places: list[Lanes]) -> tuple[list[Lanes], Lanes | None]:
     """As `shading.light_direction`, of lights whose places and kinds stand where direction and distance will."""
-    lights = known.read_three(DIRECTION)
+    lights = known.read_three(DIRECTION_COLUMN)
     x, y, z = (light - place for light, place in zip(lights, places, strict=True))
     distance = (x * x + y * y + z * z).root()
     scale = (distance <= 0.0).choose(0.0, 1.0 / distance)
@@ -138,7 +138,7 @@ def behind(origin: list[Lanes], corners: list[Lanes]) -> Lanes:
     return low | high
 
 
-def _astray(origin: list[Lanes], port: Lanes, corners: list[Lanes]) -> Lanes:
+def _not_at_start(origin: list[Lanes], port: Lanes, corners: list[Lanes]) -> Lanes:
     """Which have to go to the cell of their origin first: those behind a port, unless they came by one of these ports
     (`walk.is_walking`)."""
     ports = behind(origin, corners)
@@ -172,14 +172,14 @@ def _set_up(direction_of: Callable[..., tuple[list[Lanes], Lanes | None]]) -> An
         bounds: Any,
         corners: Any,
     ) -> Any:
-        """Set up the rays of columns at..at+7 of the tables of `Ahead`.
+        """Set up the rays of columns at..at+7 of the tables of `RaySetup`.
 
         step    three float64
         bounds  six float64, the cell's low and high planes; corners  the same on the lattice, six int32
         """
 
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            tables = [Table(context, builder, signature.args[k], args[k], args[6], AHEAD) for k in range(6)]
+            tables = [Table(context, builder, signature.args[k], args[k], args[6], SETUP_RAYS) for k in range(6)]
             _write_all(direction_of, tables, *(splats(builder, packed) for packed in args[7:]))
             return context.get_dummy_value()
 
@@ -205,9 +205,9 @@ def _write_all(
     t_in, t_out, way = _passage(places, inverses, bounds)
     narrow, begins = _for_boxes(inverses)
     for axis in range(3):
-        known.write(PLACE + axis, places[axis])
-        known.write(DIRECTION + axis, directions[axis])
-        known.write(INVERSE + axis, inverses[axis])
+        known.write(ORIGIN_COLUMN + axis, places[axis])
+        known.write(DIRECTION_COLUMN + axis, directions[axis])
+        known.write(INVERSE_COLUMN + axis, inverses[axis])
         singles.write(BOX_PLACE + axis, places[axis].as_single())
         singles.write(BOX_INVERSE + axis, narrow[axis])
         nears.write(axis, begins[axis])
@@ -219,7 +219,7 @@ def _write_all(
         known.write(DISTANCE, distance)
         upper = least(t_out, distance)
     singles.write(BOX_HIGH, least(upper, upper.every(FAREST)).as_single())
-    ways.write(0, _astray(origin, ports.read(0).as_int(), corners).choose(ASTRAY, way))
+    ways.write(0, _not_at_start(origin, ports.read(0).as_int(), corners).choose(NOT_AT_START, way))
 
 
 # kernels call them without the first argument
@@ -228,20 +228,20 @@ _shadows: Any = _set_up(_light_direction)
 
 
 @part
-def read_ahead(frame, packets, ports, first, last, shadows, ahead):
-    """Read what packets first..last-1, at most AHEAD and all of shadow rays or none, say of their rays."""
+def read_prepared(frame, packets, ports, first, last, shadows, ahead):
+    """Read what packets first..last-1, at most SETUP_RAYS and all of shadow rays or none, say of their rays."""
     words, known = ahead.words, ahead.known
     copy_bytes(ports, first, ahead.ports, 0, last - first)
     for k in range(first, last):
         at, j = k * SIZE, k - first
-        words[FRONT * AHEAD + j] = read_u64(packets, at + FRONT_BYTE)
-        words[BACK * AHEAD + j] = read_u64(packets, at + BACK_BYTE)
+        words[FRONT * SETUP_RAYS + j] = read_u64(packets, at + FRONT_BYTE)
+        words[BACK * SETUP_RAYS + j] = read_u64(packets, at + BACK_BYTE)
     if shadows:
         for j in range(last - first):
-            light = (words[BACK * AHEAD + j] >> 8) & 0xFFFF
-            known[DISTANCE * AHEAD + j] = frame.lights[light, LIGHT_KIND]
+            light = (words[BACK * SETUP_RAYS + j] >> 8) & 0xFFFF
+            known[DISTANCE * SETUP_RAYS + j] = frame.lights[light, LIGHT_KIND]
             for axis in range(3):
-                known[(DIRECTION + axis) * AHEAD + j] = frame.lights[light, LIGHT_PLACE + axis]
+                known[(DIRECTION_COLUMN + axis) * SETUP_RAYS + j] = frame.lights[light, LIGHT_PLACE + axis]
 
 
 @part
@@ -258,7 +258,7 @@ def corners(cell):
 
 
 @part
-def set_up_ahead(cell, space, many, shadows, ahead):
+def set_up_rays(cell, space, many, shadows, ahead):
     """Set up the rays that were read."""
     words, ports, known, singles, nears, ways = ahead[:6]
     bounds = (*cell.low_at, *cell.high_at)
@@ -276,12 +276,24 @@ def column(ahead, j):
     known = ahead.known
     return (
         ahead.ways[j],
-        (known[PLACE * AHEAD + j], known[(PLACE + 1) * AHEAD + j], known[(PLACE + 2) * AHEAD + j]),
-        (known[DIRECTION * AHEAD + j], known[(DIRECTION + 1) * AHEAD + j], known[(DIRECTION + 2) * AHEAD + j]),
-        (known[INVERSE * AHEAD + j], known[(INVERSE + 1) * AHEAD + j], known[(INVERSE + 2) * AHEAD + j]),
-        known[T_IN * AHEAD + j],
-        known[T_OUT * AHEAD + j],
-        known[DISTANCE * AHEAD + j],
+        (
+            known[ORIGIN_COLUMN * SETUP_RAYS + j],
+            known[(ORIGIN_COLUMN + 1) * SETUP_RAYS + j],
+            known[(ORIGIN_COLUMN + 2) * SETUP_RAYS + j],
+        ),
+        (
+            known[DIRECTION_COLUMN * SETUP_RAYS + j],
+            known[(DIRECTION_COLUMN + 1) * SETUP_RAYS + j],
+            known[(DIRECTION_COLUMN + 2) * SETUP_RAYS + j],
+        ),
+        (
+            known[INVERSE_COLUMN * SETUP_RAYS + j],
+            known[(INVERSE_COLUMN + 1) * SETUP_RAYS + j],
+            known[(INVERSE_COLUMN + 2) * SETUP_RAYS + j],
+        ),
+        known[T_IN * SETUP_RAYS + j],
+        known[T_OUT * SETUP_RAYS + j],
+        known[DISTANCE * SETUP_RAYS + j],
     )
 
 
@@ -290,21 +302,21 @@ def boxes_of(ahead, j):
     """(ray, near planes) of a ray that was set up, as `traverse.for_boxes` gives them."""
     singles, nears = ahead.singles, ahead.nears
     ray = (
-        singles[BOX_PLACE * AHEAD + j],
-        singles[(BOX_PLACE + 1) * AHEAD + j],
-        singles[(BOX_PLACE + 2) * AHEAD + j],
-        singles[BOX_INVERSE * AHEAD + j],
-        singles[(BOX_INVERSE + 1) * AHEAD + j],
-        singles[(BOX_INVERSE + 2) * AHEAD + j],
+        singles[BOX_PLACE * SETUP_RAYS + j],
+        singles[(BOX_PLACE + 1) * SETUP_RAYS + j],
+        singles[(BOX_PLACE + 2) * SETUP_RAYS + j],
+        singles[BOX_INVERSE * SETUP_RAYS + j],
+        singles[(BOX_INVERSE + 1) * SETUP_RAYS + j],
+        singles[(BOX_INVERSE + 2) * SETUP_RAYS + j],
     )
-    return ray, (nears[j], nears[AHEAD + j], nears[2 * AHEAD + j])
+    return ray, (nears[j], nears[SETUP_RAYS + j], nears[2 * SETUP_RAYS + j])
 
 
 @part
 def open_root_of(surfaces, ahead, j):
     """Find the boxes of the hierarchy's root that a ray meets; how many. There must be a root."""
     ray, near = boxes_of(ahead, j)
-    low, high = ahead.singles[BOX_LOW * AHEAD + j], ahead.singles[BOX_HIGH * AHEAD + j]
+    low, high = ahead.singles[BOX_LOW * SETUP_RAYS + j], ahead.singles[BOX_HIGH * SETUP_RAYS + j]
     met = push_boxes(surfaces.floats, np.int64(0), near, ray, low, high, ahead.roots, j * WIDE)
     ahead.met[j] = met
     return met

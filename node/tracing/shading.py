@@ -17,16 +17,16 @@ from raygrid.node.geometry.lattice import coordinate
 from raygrid.node.geometry.surface_tables import KIND_SHIFT, SLOT_MASK
 from raygrid.node.jit.decorators import part
 from raygrid.node.protocol.frame_tables import (
-    AXIS,
     COS_DISC,
     COS_INNER,
     COS_OUTER,
     DISC,
-    FALLOFF,
-    INTENSITY,
+    LIGHT_AXIS,
+    LIGHT_FALLOFF,
+    LIGHT_INTENSITY,
     LIGHT_KIND,
-    PLACE,
-    SPOT,
+    LIGHT_PLACE,
+    LIGHT_SPOT,
 )
 from raygrid.node.protocol.packets import SHORTEST
 
@@ -95,7 +95,7 @@ def _cone_normal(cones, row, p):
 @part
 def light_direction(lights, light, p):
     """((unit vector from p to a light), distance); the distance of a directional light is infinite."""
-    x, y, z = lights[light, PLACE], lights[light, PLACE + 1], lights[light, PLACE + 2]
+    x, y, z = lights[light, LIGHT_PLACE], lights[light, LIGHT_PLACE + 1], lights[light, LIGHT_PLACE + 2]
     if lights[light, LIGHT_KIND] == 0.0:
         return (x, y, z), np.inf
     x, y, z = x - p[0], y - p[1], z - p[2]
@@ -108,22 +108,22 @@ def light_direction(lights, light, p):
 def light_intensity(lights, light, direction, distance):
     """Linear RGB that a light sends along -direction over this distance (spots as in KHR_lights_punctual)."""
     factor = 1.0
-    if lights[light, FALLOFF] != 0.0:
+    if lights[light, LIGHT_FALLOFF] != 0.0:
         factor = 1.0 / (distance * distance) if distance > 0.0 else 0.0
-    if lights[light, SPOT] != 0.0:
+    if lights[light, LIGHT_SPOT] != 0.0:
         cosine = -(
-            direction[0] * lights[light, AXIS]
-            + direction[1] * lights[light, AXIS + 1]
-            + direction[2] * lights[light, AXIS + 2]
+            direction[0] * lights[light, LIGHT_AXIS]
+            + direction[1] * lights[light, LIGHT_AXIS + 1]
+            + direction[2] * lights[light, LIGHT_AXIS + 2]
         )
         inner, outer = lights[light, COS_INNER], lights[light, COS_OUTER]
         fade = (cosine - outer) / (inner - outer) if inner > outer else (1.0 if cosine >= outer else 0.0)
         fade = min(max(fade, 0.0), 1.0)
         factor *= fade * fade
     return (
-        factor * lights[light, INTENSITY],
-        factor * lights[light, INTENSITY + 1],
-        factor * lights[light, INTENSITY + 2],
+        factor * lights[light, LIGHT_INTENSITY],
+        factor * lights[light, LIGHT_INTENSITY + 1],
+        factor * lights[light, LIGHT_INTENSITY + 2],
     )
 
 
@@ -150,7 +150,7 @@ def light_discs(frame, d, red, green, blue):
     if frame.discs:
         lights = frame.lights
         for light in range(frame.n_lights):
-            x, y, z = lights[light, PLACE], lights[light, PLACE + 1], lights[light, PLACE + 2]
+            x, y, z = lights[light, LIGHT_PLACE], lights[light, LIGHT_PLACE + 1], lights[light, LIGHT_PLACE + 2]
             if lights[light, LIGHT_KIND] == 0.0 and x * d[0] + y * d[1] + z * d[2] >= lights[light, COS_DISC]:
                 red, green, blue = lights[light, DISC], lights[light, DISC + 1], lights[light, DISC + 2]
     return red, green, blue

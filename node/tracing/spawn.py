@@ -35,20 +35,20 @@ from raygrid.node.protocol.packets import (
 )
 from raygrid.node.tracing.ray_setup import behind, corners
 
-BROOD = 128  # births that are noted before they are written; a multiple of EIGHT
-SHADOW_BROOD, RAY_BROOD, BROODS = 0, 1, 2
+SPAWN_ROOM = 128  # births that are noted before they are written; a multiple of EIGHT
+SHADOW_BATCH, RAY_BATCH, SPAWN_BATCHES = 0, 1, 2
 # rows of `facts`: point, normal, direction, weight
-POINT, NORMAL, DIRECTION, WEIGHT, FACTS = 0, 3, 6, 9, 12
+SPAWN_POINT, SPAWN_NORMAL, SPAWN_DIRECTION, SPAWN_WEIGHT, SPAWN_FACTS = 0, 3, 6, 9, 12
 # rows of `words`: the first five bytes and the light; then the packet's words (`words_of`), and the ports behind which
 # it starts
-HEAD, LIGHT = 0, 1
-WORD, BEHIND, WORDS = 0, 4, 5
+SPAWN_HEAD, SPAWN_LIGHT = 0, 1
+SPAWN_WORD, SPAWN_BEHIND, SPAWN_WORDS = 0, 4, 5
 
 
-class Newborn(NamedTuple):
+class SpawnBatch(NamedTuple):
     """Births that are noted: shadow rays, then other rays, a column each; flat.
 
-    facts  float64 (BROODS * FACTS * BROOD,); words  int64 (BROODS * WORDS * BROOD,); held  int64 (BROODS,)
+    facts  float64 (SPAWN_BATCHES * SPAWN_FACTS * SPAWN_ROOM,); words  int64 (SPAWN_BATCHES * SPAWN_WORDS * SPAWN_ROOM,); held  int64 (SPAWN_BATCHES,)
     """
 
     facts: NDArray[np.float64]
@@ -56,10 +56,12 @@ class Newborn(NamedTuple):
     held: NDArray[np.int64]
 
 
-def make_newborn() -> Newborn:
+def make_spawn_batch() -> SpawnBatch:
     """No births."""
-    return Newborn(
-        np.zeros(BROODS * FACTS * BROOD), np.zeros(BROODS * WORDS * BROOD, np.int64), np.zeros(BROODS, np.int64)
+    return SpawnBatch(
+        np.zeros(SPAWN_BATCHES * SPAWN_FACTS * SPAWN_ROOM),
+        np.zeros(SPAWN_BATCHES * SPAWN_WORDS * SPAWN_ROOM, np.int64),
+        np.zeros(SPAWN_BATCHES, np.int64),
     )
 
 
@@ -81,24 +83,24 @@ def origin_beside(step, p, g, d):
 @part
 def note(newborn, brood, head, light, p, g, d, weight):
     """Note a birth; whether there is room for no more."""
-    j = newborn.held[brood] & (BROOD - 1)
-    fact, word = brood * FACTS * BROOD + j, brood * WORDS * BROOD + j
+    j = newborn.held[brood] & (SPAWN_ROOM - 1)
+    fact, word = brood * SPAWN_FACTS * SPAWN_ROOM + j, brood * SPAWN_WORDS * SPAWN_ROOM + j
     for axis in range(3):
-        newborn.facts[fact + (POINT + axis) * BROOD] = p[axis]
-        newborn.facts[fact + (NORMAL + axis) * BROOD] = g[axis]
-        newborn.facts[fact + (DIRECTION + axis) * BROOD] = d[axis]
-        newborn.facts[fact + (WEIGHT + axis) * BROOD] = weight[axis]
-    newborn.words[word + HEAD * BROOD], newborn.words[word + LIGHT * BROOD] = head, light
+        newborn.facts[fact + (SPAWN_POINT + axis) * SPAWN_ROOM] = p[axis]
+        newborn.facts[fact + (SPAWN_NORMAL + axis) * SPAWN_ROOM] = g[axis]
+        newborn.facts[fact + (SPAWN_DIRECTION + axis) * SPAWN_ROOM] = d[axis]
+        newborn.facts[fact + (SPAWN_WEIGHT + axis) * SPAWN_ROOM] = weight[axis]
+    newborn.words[word + SPAWN_HEAD * SPAWN_ROOM], newborn.words[word + SPAWN_LIGHT * SPAWN_ROOM] = head, light
     newborn.held[brood] = j + 1
-    return j + 1 == BROOD
+    return j + 1 == SPAWN_ROOM
 
 
 @part
 def work_out(cell, space, newborn, brood):
     """Make the words of all that are noted of a brood."""
     for j in range(0, newborn.held[brood], EIGHT):
-        fact, word = brood * FACTS * BROOD + j, brood * WORDS * BROOD + j
-        if brood == SHADOW_BROOD:
+        fact, word = brood * SPAWN_FACTS * SPAWN_ROOM + j, brood * SPAWN_WORDS * SPAWN_ROOM + j
+        if brood == SHADOW_BATCH:
             _shadow_words(newborn.facts, newborn.words, fact, word, space.step, corners(cell))
         else:
             _ray_words(newborn.facts, newborn.words, fact, word, space.step, corners(cell))
@@ -107,13 +109,13 @@ def work_out(cell, space, newborn, brood):
 @part
 def starts_behind(newborn, brood, j):
     """Six bits: the ports behind which a newborn starts."""
-    return newborn.words[(brood * WORDS + BEHIND) * BROOD + j]
+    return newborn.words[(brood * SPAWN_WORDS + SPAWN_BEHIND) * SPAWN_ROOM + j]
 
 
 @part
 def put(newborn, brood, j, row, at):
     """Write the packet of a newborn that was worked out."""
-    put_made(newborn.words, (brood * WORDS + WORD) * BROOD + j, BROOD, row, at)
+    put_made(newborn.words, (brood * SPAWN_WORDS + SPAWN_WORD) * SPAWN_ROOM + j, SPAWN_ROOM, row, at)
 
 
 @part
@@ -133,7 +135,7 @@ def nearest_eight(point: Lanes, step: Lanes) -> Lanes:
 
 def _origins(facts: Table, direction: list[Lanes], step: list[Lanes]) -> list[Lanes]:
     """As `origin_beside`."""
-    p, g, d = facts.read_three(POINT), facts.read_three(NORMAL), direction
+    p, g, d = facts.read_three(SPAWN_POINT), facts.read_three(SPAWN_NORMAL), direction
     slope = g[0] * d[0] + g[1] * d[1] + g[2] * d[2]
     size = abs(slope)
     along = LIFT / most(size, size.every(GENTLE))
@@ -210,12 +212,12 @@ def words_of(head: Lanes, origin: list[Lanes], rest: Rest) -> list[Lanes]:
 
 
 def _of_ray(facts: Table, words: Table, direction: list[Lanes]) -> Rest:
-    return rest_of_ray(direction, _weight(facts.read_three(WEIGHT)))
+    return rest_of_ray(direction, _weight(facts.read_three(SPAWN_WEIGHT)))
 
 
 def _of_shadow(facts: Table, words: Table, direction: list[Lanes]) -> Rest:
-    red, green, blue = (_shadow_weight(one) for one in facts.read_three(WEIGHT))
-    return words.read(LIGHT), red | green << 24 | blue << 48, blue >> 16
+    red, green, blue = (_shadow_weight(one) for one in facts.read_three(SPAWN_WEIGHT))
+    return words.read(SPAWN_LIGHT), red | green << 24 | blue << 48, blue >> 16
 
 
 def _words(rest_of: Any) -> Any:
@@ -228,15 +230,15 @@ def _words(rest_of: Any) -> Any:
         """
 
         def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            known = Table(context, builder, signature.args[0], args[0], args[2], BROOD)
-            made = Table(context, builder, signature.args[1], args[1], args[3], BROOD)
+            known = Table(context, builder, signature.args[0], args[0], args[2], SPAWN_ROOM)
+            made = Table(context, builder, signature.args[1], args[1], args[3], SPAWN_ROOM)
             steps, cell = (splats(builder, packed) for packed in args[4:])
-            direction = known.read_three(DIRECTION)
+            direction = known.read_three(SPAWN_DIRECTION)
             origin = _origins(known, direction, steps)
             rest = rest_of(known, made, direction)
-            for k, word in enumerate(words_of(made.read(HEAD), origin, rest)):
-                made.write(WORD + k, word)
-            made.write(BEHIND, behind(origin, cell).as_long())
+            for k, word in enumerate(words_of(made.read(SPAWN_HEAD), origin, rest)):
+                made.write(SPAWN_WORD + k, word)
+            made.write(SPAWN_BEHIND, behind(origin, cell).as_long())
             return context.get_dummy_value()
 
         tuples = types.UniTuple(types.float64, 3), types.UniTuple(types.int32, 6)

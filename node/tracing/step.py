@@ -44,7 +44,7 @@ from raygrid.node.protocol.packets import (
     unpack_shadow_weight,
 )
 from raygrid.node.tracing.output_queues import (
-    bear,
+    emit,
     fullest,
     give_back,
     hand_on,
@@ -53,10 +53,19 @@ from raygrid.node.tracing.output_queues import (
     noted,
     write_all_noted,
 )
-from raygrid.node.tracing.ray_classify import ENDING, PASSING, box_of_all, ends_of_array, sift, unfinished
-from raygrid.node.tracing.ray_setup import AHEAD, ASTRAY, ROOM, boxes_of, column, read_ahead, set_up_ahead, take_root
+from raygrid.node.tracing.ray_classify import ENDING, PASSING, box_of_all, classify, ends_of_array, unfinished
+from raygrid.node.tracing.ray_setup import (
+    NOT_AT_START,
+    SETUP_RAYS,
+    SETUP_ROOM,
+    boxes_of,
+    column,
+    read_prepared,
+    set_up_rays,
+    take_root,
+)
 from raygrid.node.tracing.shading import light_direction, light_discs, light_intensity, normals, place, refract
-from raygrid.node.tracing.spawn import RAY_BROOD, SHADOW_BROOD
+from raygrid.node.tracing.spawn import RAY_BATCH, SHADOW_BATCH
 from raygrid.node.tracing.traverse import blocked_below, closest_below, for_boxes, open_root
 
 # what is done with a packet, by its kind
@@ -64,14 +73,14 @@ WALKS_ON, SHADOWS_ON, SETTLES = 0, 1, 2
 
 
 @part
-def _bear_ray(cell, space, frame, kind, depth, sample, p, g, d, weight, outputs, counts):
+def _spawn_ray(cell, space, frame, kind, depth, sample, p, g, d, weight, outputs, counts):
     """Bear a reflected or refracted ray, unless it is too faint."""
     if max(weight[0], weight[1], weight[2]) > frame.min_weight:
-        bear(cell, space, RAY_BROOD, kind, sample, depth, 0, p, g, d, weight, outputs, counts)
+        emit(cell, space, RAY_BATCH, kind, sample, depth, 0, p, g, d, weight, outputs, counts)
 
 
 @part
-def _bear_shadows(cell, space, frame, material, depth, sample, p, g, n, mirror, weight, outputs, counts):
+def _spawn_shadows(cell, space, frame, material, depth, sample, p, g, n, mirror, weight, outputs, counts):
     """Bear a shadow ray to each light that faces the surface; it carries what it will add."""
     m = frame.materials
     for light in range(frame.n_lights):
@@ -89,7 +98,7 @@ def _bear_shadows(cell, space, frame, material, depth, sample, p, g, n, mirror, 
             weight[1] * intensity[1] * (m[material, DIFFUSE + 1] * cosine + m[material, HIGHLIGHT + 1] * shine),
             weight[2] * intensity[2] * (m[material, DIFFUSE + 2] * cosine + m[material, HIGHLIGHT + 2] * shine),
         )
-        bear(cell, space, SHADOW_BROOD, SHADOW, sample, depth, light, p, g, to_light, adds, outputs, counts)
+        emit(cell, space, SHADOW_BATCH, SHADOW, sample, depth, light, p, g, to_light, adds, outputs, counts)
 
 
 @part
@@ -106,14 +115,14 @@ def _shade(cell, space, frame, surfaces, packets, at, kind, o, d, t, item, u, v,
     if cosine < 0.0:
         n, cosine = (-n[0], -n[1], -n[2]), -cosine
     mirror = (d[0] + 2.0 * cosine * n[0], d[1] + 2.0 * cosine * n[1], d[2] + 2.0 * cosine * n[2])
-    _bear_shadows(cell, space, frame, material, depth, sample, p, g, n, mirror, weight, outputs, counts)
+    _spawn_shadows(cell, space, frame, material, depth, sample, p, g, n, mirror, weight, outputs, counts)
     if depth >= frame.depth:
         return
     m = frame.materials
     ks = (m[material, SPECULAR], m[material, SPECULAR + 1], m[material, SPECULAR + 2])
     if ks[0] > 0.0 or ks[1] > 0.0 or ks[2] > 0.0:
         reflected = (weight[0] * ks[0], weight[1] * ks[1], weight[2] * ks[2])
-        _bear_ray(cell, space, frame, REFLECTED, depth + 1, sample, p, g, mirror, reflected, outputs, counts)
+        _spawn_ray(cell, space, frame, REFLECTED, depth + 1, sample, p, g, mirror, reflected, outputs, counts)
     kt = (m[material, TRANSMISSION], m[material, TRANSMISSION + 1], m[material, TRANSMISSION + 2])
     if kt[0] > 0.0 or kt[1] > 0.0 or kt[2] > 0.0:
         entering = d[0] * g[0] + d[1] * g[1] + d[2] * g[2] < 0.0
@@ -124,7 +133,7 @@ def _shade(cell, space, frame, surfaces, packets, at, kind, o, d, t, item, u, v,
         else:  # total internal reflection: a reflected ray in its place, with the whole weight
             direction = mirror
         born = REFRACTED if passes else REFLECTED
-        _bear_ray(cell, space, frame, born, depth + 1, sample, p, g, direction, weight, outputs, counts)
+        _spawn_ray(cell, space, frame, born, depth + 1, sample, p, g, direction, weight, outputs, counts)
 
 
 @part
@@ -150,7 +159,7 @@ def edge_colour(frame, d):
 def _set_up(cell, space, frame, packets, at, port, kind):
     """What is known of a ray or shadow ray before any surface is looked at: (way, o, d, inv, t_in, t_out, distance).
 
-    way  the exit port; ASTRAY for one that has to go to the cell of its origin first
+    way  the exit port; NOT_AT_START for one that has to go to the cell of its origin first
     """
     origin = read_origin(packets, at)
     o = place(origin, space.step)
@@ -161,7 +170,7 @@ def _set_up(cell, space, frame, packets, at, port, kind):
     inv = (inverse(d[0]), inverse(d[1]), inverse(d[2]))
     t_in, t_out, way = passage(cell, o, inv)
     if not is_walking(cell, origin, port) and towards_start(cell, origin) != NO_PORT:
-        way = ASTRAY
+        way = NOT_AT_START
     return way, o, d, inv, t_in, t_out, distance
 
 
@@ -172,7 +181,7 @@ def _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, boxe
     ray  what `_set_up` gives; boxes  what `for_boxes` does; met  keys of the root on the stack
     """
     way, o, d, _, t_in, t_out, _ = ray
-    if way == ASTRAY:
+    if way == NOT_AT_START:
         hand_on(packets, at, towards_start(cell, read_origin(packets, at)), outputs, counts)
         return
     counts[WALKS] += 1
@@ -193,7 +202,7 @@ def _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, boxe
 def _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, boxes, met, outputs, counts):
     """A shadow ray: forgotten at the first surface, a return packet where it reaches its light."""
     way, o, d, _, t_in, t_out, distance = ray
-    if way == ASTRAY:
+    if way == NOT_AT_START:
         hand_on(packets, at, towards_start(cell, read_origin(packets, at)), outputs, counts)
         return
     counts[WALKS] += 1
@@ -308,12 +317,12 @@ def _settle_each(cell, space, frame, pixels, packets, first, last, outputs, coun
         is_return = read_kind(packets, at) == RETURN
         ways[j] = _way_home(cell, packets, at) if is_return else output
         counts[DIED + PIXEL] += (not is_return) & (output == HOST)
-        lists[PASSING * ROOM + passing] = lists[ENDING * ROOM + ending] = j
+        lists[PASSING * SETUP_ROOM + passing] = lists[ENDING * SETUP_ROOM + ending] = j
         passing += ways[j] != NO_PORT
         ending += ways[j] == NO_PORT
-    hand_on_all(packets, first, lists, PASSING * ROOM, passing, ways, outputs, counts)
+    hand_on_all(packets, first, lists, PASSING * SETUP_ROOM, passing, ways, outputs, counts)
     for k in range(ending):
-        _keep(frame, pixels, packets, (first + (lists[ENDING * ROOM + k] & (AHEAD - 1))) * SIZE, counts)
+        _keep(frame, pixels, packets, (first + (lists[ENDING * SETUP_ROOM + k] & (SETUP_RAYS - 1))) * SIZE, counts)
 
 
 @part
@@ -323,10 +332,10 @@ def _step_each(cell, space, frame, surfaces, pixels, packets, first, many, shado
     marks  (box of all, ways that lead to no neighbour), see `node.tracing.ray_classify`
     """
     ahead = outputs.ahead
-    passing, ending, searched = sift(surfaces, many, shadows, *marks, ahead)
+    passing, ending, searched = classify(surfaces, many, shadows, *marks, ahead)
     counts[WALKS] += passing
     counts[BOXES] += passing if len(surfaces.floats) > 0 else 0
-    hand_on_all(packets, first, ahead.lists, PASSING * ROOM, passing, ahead.ways, outputs, counts)
+    hand_on_all(packets, first, ahead.lists, PASSING * SETUP_ROOM, passing, ahead.ways, outputs, counts)
     for k in range(ending + searched):
         j = unfinished(ahead, k, ending)
         at = (first + j) * SIZE
@@ -350,7 +359,7 @@ def step(cell, space, frame, surfaces, pixels, packets, ports, first, last, outp
     k = first
     while True:
         # so many packets cannot fill an output, whatever they give birth to: no need to look at each
-        stop = min(last, k + min(AHEAD, (room - fullest(outputs.held) - noted(outputs)) // (frame.n_lights + 2)))
+        stop = min(last, k + min(SETUP_RAYS, (room - fullest(outputs.held) - noted(outputs)) // (frame.n_lights + 2)))
         if stop <= k:
             if noted(outputs) == 0:
                 return k
@@ -361,7 +370,7 @@ def step(cell, space, frame, surfaces, pixels, packets, ports, first, last, outp
             _settle_each(cell, space, frame, pixels, packets, k, stop, outputs, counts)
         else:
             shadows = what == SHADOWS_ON
-            read_ahead(frame, packets, ports, k, stop, shadows, outputs.ahead)
-            set_up_ahead(cell, space, stop - k, shadows, outputs.ahead)
+            read_prepared(frame, packets, ports, k, stop, shadows, outputs.ahead)
+            set_up_rays(cell, space, stop - k, shadows, outputs.ahead)
             _step_each(cell, space, frame, surfaces, pixels, packets, k, stop - k, shadows, marks, outputs, counts)
         k = stop

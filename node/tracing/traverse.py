@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from raygrid.node.geometry.bvh import COUNT_MASK, COUNT_SHIFT, FIRST_MASK, LEAF_BIT, WORDS
+from raygrid.node.geometry.bvh import COUNT_MASK, COUNT_SHIFT, FIRST_MASK, LEAF_BIT, NODE_WORDS
 from raygrid.node.geometry.bvh_simd import WIDE, push_boxes
 from raygrid.node.geometry.intersect import MISS, cone, in_polygon, plane, sphere, triangle
 from raygrid.node.geometry.surface_tables import KIND_SHIFT, SLOT_MASK
@@ -136,7 +136,7 @@ def closest_below(surfaces, stack, met, o, d, boxes, lower, upper, counts):
                     limit = _bits(best)
         if node < 0:
             break
-        met = push_boxes(surfaces.floats, node * WORDS, near, ray, low, np.float32(min(best, FAREST)), stack, top)
+        met = push_boxes(surfaces.floats, node * NODE_WORDS, near, ray, low, np.float32(min(best, FAREST)), stack, top)
     counts[BOXES] += opened
     return best, best_item, best_u, best_v
 
@@ -173,6 +173,6 @@ def blocked_below(surfaces, stack, met, o, d, boxes, lower, upper, counts):
                     return True
         if node < 0:
             break
-        met = push_boxes(surfaces.floats, node * WORDS, near, ray, low, high, stack, top)
+        met = push_boxes(surfaces.floats, node * NODE_WORDS, near, ray, low, high, stack, top)
     counts[BOXES] += opened
     return False

@@ -15,7 +15,7 @@ from raygrid.node.protocol.messages import HEAD
 from raygrid.node.protocol.packets import (
     SHADOW,
     SIZE,
-    Limits,
+    PacketLimits,
     copy_packet,
     fault,
     is_sound_ray,
@@ -24,10 +24,10 @@ from raygrid.node.protocol.packets import (
     read_kind,
 )
 
-TRAVELLERS, SHADOWS, RAYS = 0, 1, 2
+IN_TRANSIT, SHADOWS, RAYS = 0, 1, 2
 CLASSES = 3
 MOST = 3  # place after the classes: the most packets that waited at once
-FIRST_ROOM = 32768  # packets; kept from frame to frame, so that its pages are there
+FIRST_QUEUE_ROOM = 32768  # packets; kept from frame to frame, so that its pages are there
 BYTES_A_PACKET = SIZE + 1  # the packet, and the port by which it came
 
 Bytes = NDArray[np.uint8]
@@ -47,7 +47,7 @@ class Stacks(NamedTuple):
 @part
 def _class(kind):
     """The class of a kind of packet; of what is no kind any."""
-    return TRAVELLERS if kind > SHADOW else (SHADOWS if kind == SHADOW else RAYS)
+    return IN_TRANSIT if kind > SHADOW else (SHADOWS if kind == SHADOW else RAYS)
 
 
 @part
@@ -77,7 +77,7 @@ def sort(message, count, port, bounds, stacks, held):
     Packets of a class come in runs, as the neighbour's steps put them out.
     bounds: int64, the fields of Limits; held: int64, packets on each stack, updated. Each stack has room for all.
     """
-    limits = Limits(bounds[0], bounds[1], bounds[2], bounds[3], (bounds[4], bounds[5], bounds[6]))
+    limits = PacketLimits(bounds[0], bounds[1], bounds[2], bounds[3], (bounds[4], bounds[5], bounds[6]))
     first = 0
     while first < count:
         at = HEAD + first * SIZE
@@ -98,7 +98,7 @@ def sort(message, count, port, bounds, stacks, held):
             ports[k] = port
         held[kind] += end - first
         first = end
-    held[MOST] = max(held[MOST], held[TRAVELLERS] + held[SHADOWS] + held[RAYS])
+    held[MOST] = max(held[MOST], held[IN_TRANSIT] + held[SHADOWS] + held[RAYS])
     return -1, 0
 
 
@@ -107,10 +107,10 @@ def _sort_in(message, count, port, bounds, stacks, held):
     return sort(message, count, port, bounds, stacks, held)
 
 
-class Backlog:
+class WorkQueues:
     """The stacks of a node.
 
-    bounds  int64 (7,), the fields of `Limits` of the frame
+    bounds  int64 (7,), the fields of `PacketLimits` of the frame
     stacks  their buffers; a new tuple whenever one has grown
     count   int64 (CLASSES + 1,): packets on each, and the most that waited at once
     """
@@ -119,7 +119,7 @@ class Backlog:
         self.bounds = np.zeros(7, np.int64)
         self.count = np.zeros(CLASSES + 1, np.int64)
         self.stacks = Stacks(
-            *[np.zeros(FIRST_ROOM * (1 if k >= CLASSES else SIZE), np.uint8) for k in range(2 * CLASSES)]
+            *[np.zeros(FIRST_QUEUE_ROOM * (1 if k >= CLASSES else SIZE), np.uint8) for k in range(2 * CLASSES)]
         )
 
     @property
@@ -146,15 +146,15 @@ class Backlog:
         """Forget all packets, and the most that waited, and give large buffers back."""
         buffers = list(self.stacks)
         for kind in range(CLASSES):
-            if len(buffers[CLASSES + kind]) > FIRST_ROOM:
+            if len(buffers[CLASSES + kind]) > FIRST_QUEUE_ROOM:
                 buffers[kind], buffers[CLASSES + kind] = (
-                    np.zeros(FIRST_ROOM * SIZE, np.uint8),
-                    np.zeros(FIRST_ROOM, np.uint8),
+                    np.zeros(FIRST_QUEUE_ROOM * SIZE, np.uint8),
+                    np.zeros(FIRST_QUEUE_ROOM, np.uint8),
                 )
         self.stacks = Stacks(*buffers)
         self.count[:] = 0
 
-    def set_limits(self, limits: Limits) -> None:
+    def set_limits(self, limits: PacketLimits) -> None:
         """What packets of the frame may name."""
         self.bounds = np.array([*limits[:4], *limits.shape], np.int64)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.node.geometry.surfaces import merge
 from raygrid.node.links.link import Channel, Link
-from raygrid.node.links.memory_channel import MemoryPair
+from raygrid.node.links.memory_channel import MemoryChannel
 from raygrid.node.protocol.counters import BORN, DIED
 from raygrid.node.protocol.messages import HEAD, MessageKind
 from raygrid.node.protocol.packets import KINDS, SIZE
@@ -152,7 +152,7 @@ def link_at(array: MemoryArray, index: Shape, port: int) -> Link:
 def _queued(channel: Channel) -> list[bytes]:
     while isinstance(channel, Passing):
         channel = channel.inner
-    assert isinstance(channel, MemoryPair)
+    assert isinstance(channel, MemoryChannel)
     return list(channel._outgoing)
 
 

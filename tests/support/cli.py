@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from raygrid.emulator.processes.array import WARM_SECONDS
-from raygrid.emulator.processes.fork_server_client import Nursery
+from raygrid.emulator.processes.fork_server_client import ForkServerClient
 from raygrid.host.cli.main import main
 from support.render import SCENES
 
@@ -72,5 +72,5 @@ def misused(outcome: Outcome, command: str, pattern: str) -> None:
 @pytest.fixture(scope="module")
 def warm_kernels() -> None:
     """Compile what is not in the cache yet, so that no test hears of it."""
-    with Nursery.start() as nursery:
+    with ForkServerClient.start() as nursery:
         nursery.wait_warm(WARM_SECONDS)

@@ -23,7 +23,7 @@ from raygrid.node.protocol.packets import SIZE
 from raygrid.node.tracing.framebuffer import make_pixels, send_pixels
 from raygrid.node.tracing.local_geometry import build_surfaces
 from raygrid.node.tracing.output_queues import make_outputs
-from raygrid.node.tracing.primaries import DONE, bear_primaries, new_cursor
+from raygrid.node.tracing.primaries import DONE, new_cursor, spawn_primaries
 from raygrid.node.tracing.step import step
 from support.space import Index, indices, neighbour
 
@@ -93,7 +93,7 @@ class Grid:
     def _bear(self, node: Node) -> None:
         room = 4096 if self.schedule is None else int(self.schedule.choice([1, 100, 4096]))
         buffer = np.zeros(room * SIZE, np.uint8)
-        made = bear_primaries(
+        made = spawn_primaries(
             node.cell, self.space, self.frame, node.pixels, node.cursor, buffer, 0, room, self.outputs.seen, node.counts
         )
         node.receive(buffer.reshape(-1, SIZE)[:made].copy(), SELF)

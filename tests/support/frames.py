@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from raygrid.node.protocol.frame import DIRECTIONAL, LIGHT, MATERIAL, POINT
+from raygrid.node.protocol.frame import DIRECTIONAL, LIGHT_RECORD, MATERIAL_RECORD, POINT
 from raygrid.node.protocol.frame_tables import Frame, light_table, material_table
 from support.surfaces import F64
 
@@ -48,8 +48,8 @@ def orthographic(eye: Vector, forward: Vector, half: float, size: tuple[int, int
 
 
 def material(**fields: Any) -> np.ndarray:
-    """One MATERIAL record; what is not named is 0, the index of refraction 1."""
-    record = np.zeros(1, MATERIAL)
+    """One MATERIAL_RECORD record; what is not named is 0, the index of refraction 1."""
+    record = np.zeros(1, MATERIAL_RECORD)
     record["ior"], record["shine"] = 1.0, 1.0
     for name, value in fields.items():
         record[name] = value
@@ -57,8 +57,8 @@ def material(**fields: Any) -> np.ndarray:
 
 
 def point_light(place: Vector, intensity: float | Vector = 1.0, **fields: Any) -> np.ndarray:
-    """A LIGHT record: a point light, or a spot if `axis` is given."""
-    record = np.zeros(1, LIGHT)
+    """A LIGHT_RECORD record: a point light, or a spot if `axis` is given."""
+    record = np.zeros(1, LIGHT_RECORD)
     record["kind"], record["place"], record["intensity"], record["cos_disc"] = POINT, place, intensity, 2.0
     for name, value in fields.items():
         record[name] = value
@@ -66,8 +66,8 @@ def point_light(place: Vector, intensity: float | Vector = 1.0, **fields: Any) -
 
 
 def directional_light(towards: Vector, intensity: float | Vector = 1.0, **fields: Any) -> np.ndarray:
-    """A LIGHT record at infinity, invisible unless `cos_disc` and `disc` are given."""
-    record = np.zeros(1, LIGHT)
+    """A LIGHT_RECORD record at infinity, invisible unless `cos_disc` and `disc` are given."""
+    record = np.zeros(1, LIGHT_RECORD)
     record["kind"], record["intensity"], record["cos_disc"] = DIRECTIONAL, intensity, 2.0
     record["place"] = np.array(towards, float) / np.linalg.norm(towards)
     for name, value in fields.items():
@@ -87,7 +87,7 @@ def make_frame(
     min_weight: float = 0.0,
 ) -> Frame:
     """The facts of a frame."""
-    table = np.concatenate([*lights, np.zeros(0, LIGHT)])
+    table = np.concatenate([*lights, np.zeros(0, LIGHT_RECORD)])
     return Frame(
         camera,
         material_table(np.concatenate(materials) if materials else material(diffuse=1.0)),

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 import zmq
 
-from raygrid.node.links.link import Arrival, Channel, Link, State
-from raygrid.node.links.memory_channel import memory_pair
-from raygrid.node.links.zmq_channel import Pair
+from raygrid.node.links.link import Arrival, Channel, Link, LinkPhase
+from raygrid.node.links.memory_channel import memory_channels
+from raygrid.node.links.zmq_channel import ZmqChannel
 from raygrid.node.protocol.messages import HEADER, IS_DATA, WINDOW
 from support.messages import sealed
 
@@ -41,7 +41,7 @@ class Wire:
 @contextmanager
 def memory_wire() -> Iterator[Wire]:
     """Two queues."""
-    yield Wire(memory_pair(), lambda end=None: None)
+    yield Wire(memory_channels(), lambda end=None: None)
 
 
 @contextmanager
@@ -50,7 +50,7 @@ def zeromq_wire() -> Iterator[Wire]:
     directory = tempfile.mkdtemp(prefix="rgtest-", dir="/tmp")
     context: zmq.Context[Any] = zmq.Context(io_threads=1)
     try:
-        ends = (Pair(context, f"ipc://{directory}/0", True), Pair(context, f"ipc://{directory}/0", False))
+        ends = (ZmqChannel(context, f"ipc://{directory}/0", True), ZmqChannel(context, f"ipc://{directory}/0", False))
 
         def wait(end: int | None = None) -> None:
             poller = zmq.Poller()
@@ -103,12 +103,12 @@ class Talk:
 
     def up(self) -> Talk:
         """Both ends up."""
-        self.until(lambda: all(link.state is State.UP for link in self.links), "both ends up")
+        self.until(lambda: all(link.state is LinkPhase.UP for link in self.links), "both ends up")
         return self
 
     def closed(self) -> None:
         """Both ends closed."""
-        self.until(lambda: all(link.state is State.CLOSED for link in self.links), "both ends closed")
+        self.until(lambda: all(link.state is LinkPhase.CLOSED for link in self.links), "both ends closed")
 
 
 class Passing:

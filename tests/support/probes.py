@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from raygrid.emulator.driver.samples import LinkSample, Sample
+from raygrid.emulator.driver.samples import LinkSample, NodeSample
 from raygrid.host.probes.probing import Probing
 from raygrid.host.probes.sums import Gauges
 
 
-def made(node=(0, 0, 0), time=1.0, cpu=0.0, phase="trace", walks=0, served=0, epoch=0, number=0) -> Sample:
+def made(node=(0, 0, 0), time=1.0, cpu=0.0, phase="trace", walks=0, served=0, epoch=0, number=0) -> NodeSample:
     """A sample by hand."""
-    return Sample(
+    return NodeSample(
         node, epoch, number, time, phase, {"primary": served}, {}, {}, walks, 0,
         {"travellers": 1, "shadows": 2, "rays": 3}, {}, {"-x": 4}, {"+x": LinkSample(1, 2, 3, 4)}, 5,
         {"pss": 1_000_000}, cpu, 0,

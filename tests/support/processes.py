@@ -3,7 +3,7 @@
 `no_leftovers` is a fixture; a test file that wants it says `from support.processes import no_leftovers` and
 `pytestmark = pytest.mark.usefixtures("no_leftovers")`, or a conftest makes it autouse.
 
-`run` is a node program for `Nursery.start(program="support.processes")`: it announces itself at a gate and then does
+`run` is a node program for `ForkServerClient.start(program="support.processes")`: it announces itself at a gate and then does
 what its config says. The `warm_...` functions are stand-ins for the warming.
 """
 
@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import psutil
 import pytest
 
-from raygrid.emulator.processes.fork_server_client import Ended, Nursery
+from raygrid.emulator.processes.fork_server_client import ForkServerClient, ProcessEnded
 from raygrid.emulator.topology import socket_directory
 from raygrid.node.errors import ArrayError
 
@@ -62,12 +62,12 @@ def wait_dead(*pids: int) -> None:
             os.close(descriptor)
 
 
-def wait_ended(nursery: Nursery, count: int) -> list[Ended]:
+def wait_ended(nursery: ForkServerClient, count: int) -> list[ProcessEnded]:
     """The next `count` nodes that end, in the order of their ends."""
-    ended: list[Ended] = []
+    ended: list[ProcessEnded] = []
     while len(ended) < count:
         wait_readable(nursery.fileno(), "the end of a node")
-        ended += [event for event in nursery.read_events() if isinstance(event, Ended)]
+        ended += [event for event in nursery.read_events() if isinstance(event, ProcessEnded)]
     return ended
 
 
@@ -242,12 +242,12 @@ def warm_with_few_processes(report: Callable[[int, int, str], None]) -> None:
 # As a user would write it: no guard for __main__, and it reads nothing but its arguments.
 FRONT_END = """
 import os, select, signal, sys
-from raygrid.emulator.processes.fork_server_client import Nursery
+from raygrid.emulator.processes.fork_server_client import ForkServerClient
 from raygrid.emulator.topology.socket_directory import Place
 path, warm, how = sys.argv[1:]
 with Place.create((3, 1, 1)) as place:
     program = dict(program="support.processes", warm="support.processes:" + warm)
-    nursery = Nursery.start(directory=place.path, **program)
+    nursery = ForkServerClient.start(directory=place.path, **program)
     print(place.path, nursery.pid, flush=True)
     if how == "ignores children":
         signal.signal(signal.SIGCHLD, signal.SIG_IGN)

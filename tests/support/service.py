@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 import raygrid
 from raygrid.host.client.client import Service
 from raygrid.host.client.protocol import VERSION, Splitter, pack
-from raygrid.host.client.service_files import SOCKET, TOKEN, Record, find, state_directory
+from raygrid.host.client.service_files import SOCKET, TOKEN, ServiceRecord, find, state_directory
 from raygrid.host.scene.load import load_scene
 from raygrid.node.errors import ArrayError
 from support.cli import Outcome, as_process, warm_kernels
@@ -140,7 +140,7 @@ def scribe_of(service: Service) -> int:
 class Peer:
     """A bare socket at the door of a service."""
 
-    def __init__(self, record: Record) -> None:
+    def __init__(self, record: ServiceRecord) -> None:
         self._splitter = Splitter()
         self.token = Path(record.directory, TOKEN).read_text()
         self.socket = socket.socket(socket.AF_UNIX)

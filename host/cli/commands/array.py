@@ -11,10 +11,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-from raygrid.host.cli.progress import Talk
+from raygrid.host.cli.progress import ProgressReporter
 from raygrid.host.client.client import Service, connect, wait_gone
 from raygrid.host.client.connection import Connection
-from raygrid.host.client.service_files import JOURNAL, Record, find, state_directory
+from raygrid.host.client.service_files import JOURNAL, ServiceRecord, find, state_directory
 from raygrid.host.image.outputs import write_result
 from raygrid.host.journal.facts import journal_facts
 from raygrid.host.probes.metrics_server import figures_url
@@ -112,7 +112,7 @@ def run_jobs(name: str, ended: int, as_json: bool) -> None:
     if down:
         left = sum(job["state"] in ("queued", "running") for job in jobs)
         goes = "none goes on" if not left else f"{count_of(left, 'job')} {'goes' if left == 1 else 'go'} on"
-        Talk(False).remark(
+        ProgressReporter(False).remark(
             f"the array {name!r} is not up, this is from its journal; {goes} after raygrid up --name {name}"
         )
 
@@ -188,7 +188,7 @@ def run_down(name: str, finish: bool, cancel: bool, kill: bool) -> None:
     write_result(f"{name}: ended{left}")
 
 
-def _kill(record: Record) -> None:
+def _kill(record: ServiceRecord) -> None:
     """Kill a service; its nodes see that it is gone, and end by themselves."""
     with contextlib.suppress(ProcessLookupError):
         os.kill(record.pid, signal.SIGKILL)

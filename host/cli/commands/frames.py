@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from raygrid.emulator.processes import Array
-from raygrid.host.cli.progress import Talk
+from raygrid.host.cli.progress import ProgressReporter
 from raygrid.host.files.input_guard import check_outputs
 from raygrid.host.files.part_files import sweep_folders
 from raygrid.host.image.frames import check_patterns, frames_of, is_played, path_of
@@ -19,7 +19,7 @@ from raygrid.host.scene.load import check_name
 from raygrid.host.text.misuse import OutputMisuse
 
 if TYPE_CHECKING:
-    from raygrid.host.cli.commands.render import Request
+    from raygrid.host.cli.commands.render import RenderRequest
     from raygrid.host.image.picture import Picture
     from raygrid.host.render.job import Job
     from raygrid.host.scene.scene import Scene
@@ -37,7 +37,7 @@ class _Files:
     blank   what is to be said of pictures that show nothing -> numbers of their frames
     """
 
-    request: Request
+    request: RenderRequest
     single: list[str]
     played: list[str]
     contents: str = ""
@@ -104,7 +104,7 @@ def as_ranges(frames: list[int]) -> str:
     return f"frame{'s' * (len(frames) > 1)} {', '.join('-'.join(map(str, each)) for each in ranges)}"
 
 
-def run_frames(request: Request) -> None:
+def run_frames(request: RenderRequest) -> None:
     """Launch, read, and for each frame load or increment, trace, collect, write. Raises RaygridError."""
     from raygrid.host.cli.commands.render import launching
 
@@ -112,7 +112,7 @@ def run_frames(request: Request) -> None:
     check_name(request.scene)
     files = _check_names(request)
     sweep_folders()
-    with Talk(request.quiet) as talk, contextlib.ExitStack() as stack:
+    with ProgressReporter(request.quiet) as talk, contextlib.ExitStack() as stack:
         if files.played:
             files.reel = stack.enter_context(waiting())
         with launching(request, talk) as array:
@@ -136,7 +136,7 @@ def run_frames(request: Request) -> None:
         write_result(output)
 
 
-def _check_names(request: Request) -> _Files:
+def _check_names(request: RenderRequest) -> _Files:
     """The files of the shot. Raises OutputError for those that cannot be, before the work."""
     from raygrid.host.cli.commands.render import note_read
 
@@ -169,7 +169,7 @@ def _paths(files: _Files, numbers: list[int]) -> Iterator[str]:
             yield stats
 
 
-def _read(files: _Files, talk: Talk) -> tuple[Scene, list[int]]:
+def _read(files: _Files, talk: ProgressReporter) -> tuple[Scene, list[int]]:
     """The shot, and the numbers of its frames that are to be rendered."""
     from raygrid.host.render.picture_digest import contents_of_shot
     from raygrid.host.scene.load import load_scene
@@ -190,12 +190,12 @@ def _read(files: _Files, talk: Talk) -> tuple[Scene, list[int]]:
     return scene, numbers
 
 
-def _render(files: _Files, scene: Scene, numbers: list[int], array: Array, talk: Talk) -> tuple[float, int]:
+def _render(files: _Files, scene: Scene, numbers: list[int], array: Array, talk: ProgressReporter) -> tuple[float, int]:
     """Render each frame that is not there yet, and write it; seconds of tracing, and how many were there."""
     from raygrid.host.cli.commands.render import program_of
     from raygrid.host.render.animation_jobs import jobs_of
     from raygrid.host.render.job import Settings, samples_expected
-    from raygrid.host.render.retry import render_steadily
+    from raygrid.host.render.retry import render_with_retries
 
     request = files.request
     settings = Settings(**request.settings, program=program_of(request))
@@ -210,7 +210,7 @@ def _render(files: _Files, scene: Scene, numbers: list[int], array: Array, talk:
             skipped += 1
             continue
         talk.expect(samples_expected(job))
-        picture = render_steadily(
+        picture = render_with_retries(
             array, job, request.budget, talk.watch, attempts=request.attempts, on_fault=talk.fault
         )
         talk.phase("writing")
@@ -220,7 +220,7 @@ def _render(files: _Files, scene: Scene, numbers: list[int], array: Array, talk:
     return rate, skipped
 
 
-def _begin(files: _Files, job: Job, talk: Talk) -> None:
+def _begin(files: _Files, job: Job, talk: ProgressReporter) -> None:
     """What can be said once the first frame's size is known. Raises OutputError."""
     for output in files.request.outputs:
         check_side(output, job.frame.width, job.frame.height)

@@ -10,7 +10,7 @@ from typing import Any
 from raygrid.emulator.analysis import NaiveMachine, Outcome, Waiting, surely_free
 from raygrid.emulator.processes import LOOKING
 from raygrid.host.cli.commands.simulate import compiling
-from raygrid.host.cli.progress import Talk
+from raygrid.host.cli.progress import ProgressReporter
 from raygrid.host.image.outputs import write_result
 from raygrid.host.render.animation_jobs import still_job
 from raygrid.host.render.job import Job, Settings
@@ -21,7 +21,7 @@ DEFAULT_SIZE = (64, 64)  # a jam comes early or not at all, and every hop is a s
 
 
 @dataclass(frozen=True)
-class Request:
+class JamRequest:
     """What the command line asks for.
 
     room      packets that a link's buffer holds
@@ -39,11 +39,11 @@ class Request:
     settings: dict[str, Any]
 
 
-def run_jam(request: Request) -> None:
+def run_jam(request: JamRequest) -> None:
     """Run the model without admission and with it, and print how both ended. Raises RaygridError."""
     scene = load_scene(request.scene)
     settings = {**request.settings, "size": request.settings.get("size") or DEFAULT_SIZE}
-    with Talk(False) as talk, compiling(talk, LOOKING):
+    with ProgressReporter(False) as talk, compiling(talk, LOOKING):
         job = still_job(scene, request.shape, Settings(**settings), request.frame)
         free = surely_free(job.frame, request.room)
         budget = max(1, free) if request.budget is None else request.budget

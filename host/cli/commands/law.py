@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from raygrid.host.cli.progress import Talk
+from raygrid.host.cli.progress import ProgressReporter
 from raygrid.host.files.input_guard import check_outputs, note
 from raygrid.host.image.outputs import check_path, made_folder, write_result
 from raygrid.host.scene.load import check_name
 
 
 @dataclass(frozen=True)
-class Request:
+class LawRequest:
     """What the command line asks for.
 
     sizes     kind of array -> edges
@@ -37,14 +37,14 @@ class Request:
     settings: dict[str, Any]
 
 
-def run_law(request: Request) -> None:
+def run_law(request: LawRequest) -> None:
     """Sweep, fit, write the report. Raises RaygridError."""
     from raygrid.host.machine_time.scaling_law_report import report_paths
 
     for scene in request.scenes:
         check_name(scene)
         note(scene, "the same file as a scene")
-    with made_folder(request.folder), Talk(request.quiet) as talk:
+    with made_folder(request.folder), ProgressReporter(request.quiet) as talk:
         check_path(Path(request.folder) / "law.md")
         check_outputs(report_paths(request.folder, request.scenes))
         paths = _run(request, talk)
@@ -52,7 +52,7 @@ def run_law(request: Request) -> None:
         write_result(path)
 
 
-def _run(request: Request, talk: Talk) -> list[str]:
+def _run(request: LawRequest, talk: ProgressReporter) -> list[str]:
     from raygrid.host.cli.commands.simulate import compiling
     from raygrid.host.machine_time.cost_models import load_cost_model
     from raygrid.host.machine_time.plots import pyplot

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from raygrid.host.client.connection import Connection
-from raygrid.host.client.service_files import Record, running
+from raygrid.host.client.service_files import ServiceRecord, running
 from raygrid.host.image.outputs import write_result
 from raygrid.host.text.tables import count_of, span, table
 from raygrid.node.errors import ArrayError
@@ -35,7 +35,7 @@ def run_list(as_json: bool) -> None:
     write_result("\n".join(table(rows)) if found else "no array is up")
 
 
-def _facts(record: Record) -> dict[str, Any] | None:
+def _facts(record: ServiceRecord) -> dict[str, Any] | None:
     """What there is to say of an array; None if it ends just now."""
     facts = {
         "name": record.name,

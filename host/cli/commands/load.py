@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from raygrid.emulator.processes import Array
-from raygrid.host.cli.progress import Talk
+from raygrid.host.cli.progress import ProgressReporter
 from raygrid.host.image.outputs import write_result
 from raygrid.host.scene.load import check_allowed
 from raygrid.node.errors import ArrayError
@@ -14,7 +14,7 @@ from raygrid.node.errors import ArrayError
 def run_load(path: str, shape: tuple[int, int, int], allowed: bool, quiet: bool) -> None:
     """Launch an array, load a program, and say what the nodes run. Raises RaygridError."""
     check_allowed(path, allowed)
-    with Talk(quiet) as talk, Array(shape, on_warming=talk.warming, programs=allowed) as array:
+    with ProgressReporter(quiet) as talk, Array(shape, on_warming=talk.warming, programs=allowed) as array:
         array.begin()
         from raygrid.host.render.program_file import read_program
 

@@ -21,7 +21,7 @@ CLEAR = "\r\x1b[2K"
 
 
 @dataclass(frozen=True)
-class Request:
+class ProbeRequest:
     """What the command line asks for.
 
     name         of an array that stays
@@ -53,7 +53,7 @@ class Request:
         return not (self.as_json or self.worst or self.table) and sys.stdout.isatty()
 
 
-def run_probe(request: Request) -> None:
+def run_probe(request: ProbeRequest) -> None:
     """Show samples until there are no more. Raises RaygridError."""
     with contextlib.ExitStack() as opened:
         with _notice(request):
@@ -67,7 +67,7 @@ def run_probe(request: Request) -> None:
         _show(request, feed, probing, shares, opened.enter_context(_Screen(request, probing, shares, head)))
 
 
-def _show(request: Request, feed: Feed, probing: Probing, shares: Shares, screen: _Screen) -> None:
+def _show(request: ProbeRequest, feed: Feed, probing: Probing, shares: Shares, screen: _Screen) -> None:
     """Take samples in until there are no more, or the time is up."""
     from raygrid.host.image.outputs import write_result
     from raygrid.host.probes.record import record_line
@@ -87,7 +87,7 @@ def _show(request: Request, feed: Feed, probing: Probing, shares: Shares, screen
 
 
 @contextlib.contextmanager
-def _notice(request: Request) -> Iterator[None]:
+def _notice(request: ProbeRequest) -> Iterator[None]:
     """On a terminal, a line until there is something to be drawn."""
     if not request.is_drawn:
         yield
@@ -103,7 +103,7 @@ def _notice(request: Request) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _open(request: Request) -> Iterator[tuple[Feed, str | None]]:
+def _open(request: ProbeRequest) -> Iterator[tuple[Feed, str | None]]:
     """The samples, and a line on them."""
     from raygrid.host.probes.probing import Feed
 
@@ -126,7 +126,7 @@ def _open(request: Request) -> Iterator[tuple[Feed, str | None]]:
         yield feed, None
 
 
-def _served(request: Request, probing: Probing) -> AbstractContextManager[Any]:
+def _served(request: ProbeRequest, probing: Probing) -> AbstractContextManager[Any]:
     if request.prometheus is None:
         return contextlib.nullcontext()
     from raygrid.host.probes.metrics_server import Endpoint
@@ -138,7 +138,7 @@ def _served(request: Request, probing: Probing) -> AbstractContextManager[Any]:
 class _Screen:
     """The live view on a terminal; elsewhere what there is to be told at the end, unless each sample is a line."""
 
-    def __init__(self, request: Request, probing: Probing, shares: Shares, head: str | None) -> None:
+    def __init__(self, request: ProbeRequest, probing: Probing, shares: Shares, head: str | None) -> None:
         self._request, self._probing, self._shares, self._head = request, probing, shares, head
         self._live: Any = None
         self._drawn = 0.0

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 from raygrid.emulator.processes import Array
 from raygrid.host.cli.commands.frames import run_frames
-from raygrid.host.cli.progress import Talk
+from raygrid.host.cli.progress import ProgressReporter
 from raygrid.host.files.input_guard import check_outputs, note
 from raygrid.host.image.frames import Turntable, check_patterns, path_of, wants_shot
 from raygrid.host.image.outputs import check_named, check_path, check_picture_path, check_side, write_names
 from raygrid.host.scene.load import check_allowed, check_name
 
 if TYPE_CHECKING:
-    from raygrid.host.image.picture import Ahead, Picture
+    from raygrid.host.image.picture import Encoder, Picture
     from raygrid.host.probes.probing import Probing
     from raygrid.host.render.job import Job
     from raygrid.node.links import FaultPlan
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Request:
+class RenderRequest:
     """What the command line asks for.
 
     scene     path of the scene
@@ -83,7 +83,7 @@ class Request:
         return wants_shot(self.frames, self.turntable is not None, self.patterns)
 
 
-def run_render(request: Request) -> None:
+def run_render(request: RenderRequest) -> None:
     """Launch, read, load, trace, collect, write. Raises RaygridError."""
     check_allowed(request.program, request.allow_programs)
     if request.of_shot:
@@ -95,7 +95,7 @@ def run_render(request: Request) -> None:
     if request.cost is not None:
         _prices(request.cost, request.search)
     _check_outputs(request)
-    with Talk(request.quiet) as talk, _probing(request) as probing:
+    with ProgressReporter(request.quiet) as talk, _probing(request) as probing:
         picture, encoding = _render(request, talk, begun, probing)
         for output in request.outputs:
             talk.phase(f"writing {output}")
@@ -117,14 +117,16 @@ def run_render(request: Request) -> None:
     write_names(request.outputs, request.patterns)
 
 
-def _named(request: Request) -> Request:
+def _named(request: RenderRequest) -> RenderRequest:
     """The same with the names of files as they are, and not as patterns. Raises OutputError."""
     check_patterns(request.outputs, request.stats, None, False)
     stats = None if request.stats is None else path_of(request.stats, None)
     return replace(request, outputs=tuple(path_of(name, None) for name in request.outputs), stats=stats)
 
 
-def _render(request: Request, talk: Talk, begun: float, probing: Probing | None) -> tuple[Picture, Ahead]:
+def _render(
+    request: RenderRequest, talk: ProgressReporter, begun: float, probing: Probing | None
+) -> tuple[Picture, Encoder]:
     shape = request.shape
     with launching(request, talk) as array:
         array.begin()
@@ -132,9 +134,9 @@ def _render(request: Request, talk: Talk, begun: float, probing: Probing | None)
         job = _read_job(request, talk, array.wait_warm)
         read = time.perf_counter()
         talk.phase(f"launching {shape[0] * shape[1] * shape[2]} processors")
-        from raygrid.host.image.picture import Ahead, prepare
+        from raygrid.host.image.picture import Encoder, prepare
         from raygrid.host.render.job import samples_expected
-        from raygrid.host.render.retry import render_steadily
+        from raygrid.host.render.retry import render_with_retries
 
         if not array.is_warm():
             prepare(request.outputs)
@@ -143,7 +145,7 @@ def _render(request: Request, talk: Talk, begun: float, probing: Probing | None)
         talk.expect(samples_expected(job))
         if probing is not None:
             array.probe(request.probe_rate, probing.take)
-        picture = render_steadily(
+        picture = render_with_retries(
             array,
             job,
             request.budget,
@@ -154,7 +156,7 @@ def _render(request: Request, talk: Talk, begun: float, probing: Probing | None)
         )
         picture.stats["wall_seconds"] |= {"read": round(read - begun, 6), "launch": round(ready - read, 6)}
         talk.phase("ending the processors")
-        encoding = Ahead(picture, request.outputs, request.transfer)
+        encoding = Encoder(picture, request.outputs, request.transfer)
     return picture, encoding
 
 
@@ -168,7 +170,7 @@ def _prices(name: str, search: str | None) -> dict[str, Any]:
     return prices_order(cost.prices("middle", chosen), cost.tests("middle") * (chosen == "list"))
 
 
-def _probing(request: Request) -> AbstractContextManager[Probing | None]:
+def _probing(request: RenderRequest) -> AbstractContextManager[Probing | None]:
     """Takes what probes tell, if that is asked for; outside of the array, so that its troubles cost no picture."""
     if request.probe_record is None and request.chrome_trace is None:
         return contextlib.nullcontext()
@@ -177,21 +179,21 @@ def _probing(request: Request) -> AbstractContextManager[Probing | None]:
     return Probing(request.shape, request.probe_rate, request.probe_record, request.chrome_trace)
 
 
-def launching(request: Request, talk: Talk) -> Array:
+def launching(request: RenderRequest, talk: ProgressReporter) -> Array:
     """The array that is asked for, not yet begun."""
     options: dict[str, Any] = {"fault": request.fault, "profile": request.profile, "programs": request.allow_programs}
     options["timed"] = request.cost is not None
     return Array(request.shape, request.batch, request.patience, talk.warming, **options)
 
 
-def program_of(request: Request) -> Program | None:
+def program_of(request: RenderRequest) -> Program | None:
     """The program that is asked for. Raises SceneError."""
     from raygrid.host.render.program_file import read_program
 
     return None if request.program is None else read_program(request.program)
 
 
-def _read_job(request: Request, talk: Talk, wait_warm: Callable[[], None]) -> Job:
+def _read_job(request: RenderRequest, talk: ProgressReporter, wait_warm: Callable[[], None]) -> Job:
     from raygrid.host.render.import_block import hidden
     from raygrid.host.scene.load import load_scene
 
@@ -210,12 +212,12 @@ def _read_job(request: Request, talk: Talk, wait_warm: Callable[[], None]) -> Jo
     return job
 
 
-def _written(request: Request) -> list[str]:
+def _written(request: RenderRequest) -> list[str]:
     """All files that are to be written."""
     return [*request.patterns, *(path for path in (request.probe_record, request.chrome_trace) if path is not None)]
 
 
-def _check_outputs(request: Request) -> None:
+def _check_outputs(request: RenderRequest) -> None:
     for output in request.outputs:
         check_picture_path(output)
     if request.stats is not None:
@@ -227,7 +229,7 @@ def _check_outputs(request: Request) -> None:
     check_outputs(_written(request))
 
 
-def note_read(request: Request) -> None:
+def note_read(request: RenderRequest) -> None:
     """Note what is named to be read, before it is: no output may be one of them."""
     note(request.scene, "the same file as the scene")
     if request.program is not None:

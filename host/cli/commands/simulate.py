@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from raygrid.emulator.processes import SIMULATOR
-from raygrid.host.cli.progress import Talk
+from raygrid.host.cli.progress import ProgressReporter
 from raygrid.host.files.input_guard import STANDARD, check_outputs, note
 from raygrid.host.image.outputs import (
     check_folder,
@@ -27,7 +27,7 @@ KERNELS = 70  # of the simulator, about
 
 
 @dataclass(frozen=True)
-class Request:
+class SimulateRequest:
     """What the command line asks for.
 
     scene     path of the scene
@@ -55,11 +55,11 @@ class Request:
     settings: dict[str, Any]
 
 
-def run_simulate(request: Request) -> None:
+def run_simulate(request: SimulateRequest) -> None:
     """Read, simulate, write, and say what came out. Raises RaygridError."""
     check_name(request.scene)
     _check_outputs(request)
-    with Talk(request.quiet) as talk:
+    with ProgressReporter(request.quiet) as talk:
         done = _simulate(request, talk)
         stats = _write(request, done, talk)
         lines = summary(done, stats)
@@ -70,7 +70,7 @@ def run_simulate(request: Request) -> None:
         write_result(line)
 
 
-def _simulate(request: Request, talk: Talk) -> Simulated:
+def _simulate(request: SimulateRequest, talk: ProgressReporter) -> Simulated:
     talk.phase(f"reading {request.scene}")
     from raygrid.host.machine_time.cost_models import load_cost_model
     from raygrid.host.render.animation_jobs import still_job
@@ -95,7 +95,7 @@ def _simulate(request: Request, talk: Talk) -> Simulated:
         return simulate_job(job, cost, request.search, request.band, tell=told(talk))
 
 
-def told(talk: Talk) -> Any:
+def told(talk: ProgressReporter) -> Any:
     """A teller for `simulate_job`: the phase, events so far, and how many a second."""
     from raygrid.emulator.processes import now
 
@@ -108,14 +108,14 @@ def told(talk: Talk) -> Any:
     return tell
 
 
-def compiling(talk: Talk, kind: str = SIMULATOR) -> Any:
+def compiling(talk: ProgressReporter, kind: str = SIMULATOR) -> Any:
     """While this lasts, kernels that have to be compiled are told of."""
     from raygrid.emulator.processes import told_of
 
     return told_of(talk.warming, kind, KERNELS)
 
 
-def _check_outputs(request: Request) -> None:
+def _check_outputs(request: SimulateRequest) -> None:
     for output in request.outputs:
         check_picture_path(output)
     for path in (request.stats, request.table):
@@ -130,7 +130,7 @@ def _check_outputs(request: Request) -> None:
     check_outputs(_written(request))
 
 
-def _written(request: Request) -> list[str]:
+def _written(request: SimulateRequest) -> list[str]:
     """All files that are to be written."""
     written = [*request.outputs, *(path for path in (request.stats, request.table) if path is not None)]
     if request.plots is not None:
@@ -140,7 +140,7 @@ def _written(request: Request) -> list[str]:
     return written
 
 
-def _write(request: Request, done: Simulated, talk: Talk) -> dict[str, Any]:
+def _write(request: SimulateRequest, done: Simulated, talk: ProgressReporter) -> dict[str, Any]:
     from raygrid.host.image.picture import Picture
     from raygrid.host.machine_time.simulate_stats import make_stats, save_csv
     from raygrid.host.render.stats import save_stats

@@ -8,9 +8,9 @@ import os
 from dataclasses import dataclass, replace
 from typing import Any
 
-from raygrid.host.cli.progress import PHASES, Talk
+from raygrid.host.cli.progress import PHASES, ProgressReporter
 from raygrid.host.client.client import absolute, pattern_at
-from raygrid.host.client.connection import ENDED, Connection, Listener
+from raygrid.host.client.connection import ENDED, Connection, EventListener
 from raygrid.host.client.service_files import find
 from raygrid.host.files.input_guard import STANDARD, check_outputs, note
 from raygrid.host.image.frames import (
@@ -37,7 +37,7 @@ Facts = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Order:
+class SubmitRequest:
     """What the command line asks for; `settings` of `raygrid.host.render.job.Settings`."""
 
     scene: str
@@ -58,7 +58,7 @@ class Order:
     priority: int = 0
 
 
-def run_submit(order: Order) -> None:
+def run_submit(order: SubmitRequest) -> None:
     """Queue a job and follow it. Raises RaygridError."""
     order = _named(order)
     _check(order)
@@ -93,18 +93,18 @@ def run_wait(job: int, name: str, as_json: bool, quiet: bool) -> None:
         _follow(listener, job, facts["frames"], as_json, quiet)
 
 
-def _of_shot(order: Order) -> bool:
+def _of_shot(order: SubmitRequest) -> bool:
     """Whether frames of a shot are asked for, and not a picture of the scene as it stands. Raises OutputError."""
     stats = [] if order.stats is None else [order.stats]
     return wants_shot(order.frames, order.turntable is not None, (*order.outputs, *stats))
 
 
-def _named(order: Order) -> Order:
+def _named(order: SubmitRequest) -> SubmitRequest:
     """The same with the default output, if none was named."""
     return order if order.outputs else replace(order, outputs=default_outputs(order.scene, _of_shot(order)))
 
 
-def _frames(order: Order) -> Ends | None:
+def _frames(order: SubmitRequest) -> Ends | None:
     """The frames of the job, as `render` has them: where none are named, but a shot is asked for, all of it.
 
     Raises SceneError for a scene in which nothing moves.
@@ -119,7 +119,7 @@ def _frames(order: Order) -> Ends | None:
     return numbers[0], numbers[-1]
 
 
-def _check(order: Order) -> None:
+def _check(order: SubmitRequest) -> None:
     """What can be seen to be wrong before the array is asked. Raises SceneError, OutputError."""
     check_name(order.scene)
     named = [*order.outputs] + ([] if order.stats is None else [order.stats])
@@ -151,7 +151,7 @@ def _check(order: Order) -> None:
     check_outputs(written)
 
 
-def _request(order: Order) -> Facts:
+def _request(order: SubmitRequest) -> Facts:
     settings = {name: value for name, value in order.settings.items() if value is not None}
     if "size" in settings:
         settings["size"] = list(settings["size"])
@@ -174,10 +174,10 @@ def _request(order: Order) -> Facts:
     }
 
 
-def _follow(listener: Listener, job: int, frames: int, as_json: bool, quiet: bool) -> None:
+def _follow(listener: EventListener, job: int, frames: int, as_json: bool, quiet: bool) -> None:
     """Tell of a job until it has ended. Raises ArrayError unless it is done."""
-    with Talk(quiet or as_json) as talk:
-        teller = _Teller(talk, job, frames)
+    with ProgressReporter(quiet or as_json) as talk:
+        teller = _JobReporter(talk, job, frames)
         for event in listener.follow():
             if as_json:
                 write_result(json.dumps({key: value for key, value in event.items() if key != "is"}))
@@ -188,10 +188,10 @@ def _follow(listener: Listener, job: int, frames: int, as_json: bool, quiet: boo
     _judge(job, event)
 
 
-class _Teller:
+class _JobReporter:
     """Events as a person reads them: files to standard output, the rest as a live line."""
 
-    def __init__(self, talk: Talk, job: int, frames: int) -> None:
+    def __init__(self, talk: ProgressReporter, job: int, frames: int) -> None:
         self._talk, self._job, self._frames = talk, job, frames
         self._phase: str | None = None
         talk.phase(f"job {job} is queued")

@@ -9,7 +9,7 @@ from typing import Any
 
 from raygrid.emulator.processes import LOOKING
 from raygrid.host.cli.commands.simulate import compiling
-from raygrid.host.cli.progress import Talk
+from raygrid.host.cli.progress import ProgressReporter
 from raygrid.host.cli.trace import headline, plain_lines, ray_line, sample_line, trace_pixel
 from raygrid.host.image.outputs import write_result
 from raygrid.host.render.animation_jobs import still_job
@@ -18,7 +18,7 @@ from raygrid.host.scene.load import load_scene
 
 
 @dataclass(frozen=True)
-class Request:
+class TraceRequest:
     """What the command line asks for.
 
     pixel     column and row, 0,0 top left
@@ -36,10 +36,10 @@ class Request:
     settings: dict[str, Any]
 
 
-def run_trace(request: Request) -> None:
+def run_trace(request: TraceRequest) -> None:
     """Load the scene into an array in memory, trace the pixel, print its tree. Raises RaygridError."""
     scene = load_scene(request.scene)
-    with Talk(False) as talk, compiling(talk, LOOKING):
+    with ProgressReporter(False) as talk, compiling(talk, LOOKING):
         job = still_job(scene, request.shape, Settings(**request.settings), request.frame)
         told = trace_pixel(job, *request.pixel, request.sample)
     if request.as_json:

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from raygrid.host.cli.progress import Talk
+from raygrid.host.cli.progress import ProgressReporter
 from raygrid.host.client.service_files import LOG, make_state_directory, read_record, running, runs_already
 from raygrid.host.image.outputs import write_result
 from raygrid.node.errors import ArrayError
@@ -43,7 +43,7 @@ def run_up(launch: Launch) -> None:
     if record is not None and record.alive:
         raise runs_already(directory)
     processors = launch.shape[0] * launch.shape[1] * launch.shape[2]
-    with Talk(launch.quiet) as talk:
+    with ProgressReporter(launch.quiet) as talk:
         talk.phase(f"launching {processors} processors")
         ready = _start(launch, talk)
     seconds = round(time.perf_counter() - begun, 3)
@@ -56,19 +56,23 @@ def run_up(launch: Launch) -> None:
     write_result(f"{launch.name}: {_text(launch.shape)} ready, service {ready['pid']}, nodes {shown}")
     if ready["unfinished"] and not launch.quiet:
         count = ready["unfinished"]
-        Talk(False).remark(f"{count} {'job goes' if count == 1 else 'jobs go'} on: raygrid jobs --name {launch.name}")
+        ProgressReporter(False).remark(
+            f"{count} {'job goes' if count == 1 else 'jobs go'} on: raygrid jobs --name {launch.name}"
+        )
     for remark in ready["remarks"]:
-        Talk(False).remark(remark)
+        ProgressReporter(False).remark(remark)
     if ready.get("prometheus") and not launch.quiet:
         from raygrid.host.probes.metrics_server import figures_url
 
-        Talk(False).remark(f"figures for Prometheus are at {figures_url(ready['prometheus'])}")
+        ProgressReporter(False).remark(f"figures for Prometheus are at {figures_url(ready['prometheus'])}")
     if not launch.quiet and sys.stderr.isatty():
         others = ", ".join(other.name for other in running() if other.name != launch.name)
-        Talk(False).say(f"ready in {seconds:.2f} s of wall time" + (f"; also up: {others}" if others else ""))
+        ProgressReporter(False).say(
+            f"ready in {seconds:.2f} s of wall time" + (f"; also up: {others}" if others else "")
+        )
 
 
-def _start(launch: Launch, talk: Talk) -> dict[str, Any]:
+def _start(launch: Launch, talk: ProgressReporter) -> dict[str, Any]:
     """Start the process; returns what it says when it is ready."""
     arguments = [launch.name, "--array", *map(str, launch.shape)]
     arguments += ["--batch", str(launch.batch), "--patience", str(launch.patience)]
@@ -94,7 +98,7 @@ def _start(launch: Launch, talk: Talk) -> dict[str, Any]:
     return ready
 
 
-def _listen(process: subprocess.Popen[bytes], name: str, talk: Talk) -> dict[str, Any]:
+def _listen(process: subprocess.Popen[bytes], name: str, talk: ProgressReporter) -> dict[str, Any]:
     assert process.stdout is not None
     assert process.stderr is not None
     with process.stdout as said, process.stderr as words:

@@ -18,7 +18,17 @@ from numpy.typing import ArrayLike, NDArray
 from raygrid.host.scene.cameras import Camera
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry import F64, NO_MOTION, SCALE, SHIFT, Batch, Groups, Kind, SurfaceSet, moved_rows
+from raygrid.node.geometry import (
+    F64,
+    MOTION_SCALE,
+    MOTION_SHIFT,
+    NO_MOTION,
+    Batch,
+    Groups,
+    Kind,
+    SurfaceSet,
+    moved_rows,
+)
 
 MAX_FRAMES = 1_000_000
 FPS = 24.0
@@ -38,7 +48,7 @@ class Pose(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Shot:
+class Animation:
     """What changes in a scene.
 
     frames  how many there are, numbered from 1
@@ -68,7 +78,7 @@ class Shot:
             pose = self.pose(frame)
         except SceneError as error:
             raise SceneError(f"frame {frame}: {error}") from None
-        bad = ~(np.isfinite(pose.motions).all(axis=1) & (pose.motions[:, SCALE] > 0.0))
+        bad = ~(np.isfinite(pose.motions).all(axis=1) & (pose.motions[:, MOTION_SCALE] > 0.0))
         if bad.any():
             group = int(np.argmax(bad))
             raise SceneError(
@@ -124,14 +134,16 @@ def turned(by: F64, direction: ArrayLike) -> F64:
 def after(second: F64, first: F64) -> F64:
     """The motion that does `first`, then `second`."""
     return motion(
-        _product(second[:4], first[:4]), float(second[SCALE] * first[SCALE]), moved_point(second, first[SHIFT:])
+        _product(second[:4], first[:4]),
+        float(second[MOTION_SCALE] * first[MOTION_SCALE]),
+        moved_point(second, first[MOTION_SHIFT:]),
     )
 
 
 def about(pivot: ArrayLike, turn: F64, scale: float) -> F64:
     """Turned and scaled about a point that stays."""
     here = motion(turn, scale)
-    here[SHIFT:] = np.asarray(pivot, np.float64) - moved_point(here, pivot)
+    here[MOTION_SHIFT:] = np.asarray(pivot, np.float64) - moved_point(here, pivot)
     return here
 
 
@@ -182,7 +194,7 @@ def moving_batches(scene: Scene) -> list[tuple[Batch, NDArray[np.int64]]]:
     return found
 
 
-def shot_bounds(scene: Scene) -> F64:
+def animation_bounds(scene: Scene) -> F64:
     """The box of all surfaces in all frames, float64 (2, 3): the union of each frame's own.
 
     Raises SceneError for a pose that cannot be, and numbers that are not finite.

@@ -23,7 +23,7 @@ WAYS = ("linear", "smooth", "step")
 
 
 @dataclass(frozen=True)
-class Track:
+class Keyframes:
     """Keys of one value.
 
     frames  float64 (k,), ascending; of a glTF file, seconds
@@ -74,7 +74,7 @@ class Track:
         return np.where(came * goes > 0.0, mean, 0.0)
 
 
-def make_track(frames: ArrayLike, values: ArrayLike, way: str = "linear", turns: bool = False) -> Track:
+def make_keyframes(frames: ArrayLike, values: ArrayLike, way: str = "linear", turns: bool = False) -> Keyframes:
     """A checked track. Raises SceneError for keys that are out of order, not finite, or none."""
     at, rows = np.asarray(frames, np.float64), np.asarray(values, np.float64)
     if len(at) == 0 or way not in WAYS:
@@ -89,7 +89,7 @@ def make_track(frames: ArrayLike, values: ArrayLike, way: str = "linear", turns:
         raise SceneError(
             f"key {key + 1} is at {at[key + 1]:g}, after one at {at[key]:g}: wanted keys in ascending order"
         )
-    return Track(at, rows, way, turns)
+    return Keyframes(at, rows, way, turns)
 
 
 def slerp(one: F64, other: F64, part: float) -> F64:

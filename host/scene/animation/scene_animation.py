@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from raygrid.host.scene.animation.animation import Pose, about, after, motion, quaternion
-from raygrid.host.scene.animation.keyframes import Track, make_track
+from raygrid.host.scene.animation.keyframes import Keyframes, make_keyframes
 from raygrid.host.scene.cameras import Camera
 from raygrid.host.scene.formats import toml_schema as schema
 from raygrid.host.scene.lights import Table, light_table
@@ -17,7 +17,7 @@ from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import SceneError
 from raygrid.node.geometry import F64, at_rest
 
-Model = TypeVar("Model", bound=schema.Table)
+Model = TypeVar("Model", bound=schema.FileTable)
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Keyed(Generic[Model]):
     """A table of the file, and the tracks of those of its keys that change."""
 
     table: Model
-    tracks: dict[str, Track]
+    tracks: dict[str, Keyframes]
 
     def at(self, frame: int) -> Model:
         """The table as it is in a frame."""
@@ -44,12 +44,12 @@ def keyed(table: Model, keys: Sequence[schema.Key], way: str) -> Keyed[Model]:
     for name in type(keys[0]).model_fields if keys else ():
         rows = [(key.frame, getattr(key, name)) for key in keys if getattr(key, name) is not None]
         if name != "frame" and rows:
-            tracks[name] = make_track([row[0] for row in rows], [row[1] for row in rows], way)
+            tracks[name] = make_keyframes([row[0] for row in rows], [row[1] for row in rows], way)
     return Keyed(table, tracks)
 
 
 @dataclass(frozen=True)
-class Rig:
+class SceneAnimation:
     """Everything that moves.
 
     groups     in the order of their names
@@ -63,11 +63,11 @@ class Rig:
     groups: tuple[Keyed[schema.Motion], ...]
     pivots: tuple[tuple[float, float, float], ...]
     parents: tuple[int, ...]
-    camera: Keyed[schema.Camera] | None
+    camera: Keyed[schema.CameraTable] | None
     first_lights: Table
     lights: tuple[Keyed[Any], ...]
     materials: tuple[tuple[int, Keyed[schema.Material]], ...]
-    make_camera: Callable[[schema.Camera], Camera]
+    make_camera: Callable[[schema.CameraTable], Camera]
     make_light: Callable[[Any], Table]
     make_material: Callable[[schema.Material], Table]
 

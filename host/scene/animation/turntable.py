@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from raygrid.host.scene.animation.animation import MAX_FRAMES, Pose, Shot, about, motion, moved_point, turned
+from raygrid.host.scene.animation.animation import MAX_FRAMES, Animation, Pose, about, motion, moved_point, turned
 from raygrid.host.scene.cameras import Camera, Vector
 from raygrid.host.scene.lights import exposure_point
 from raygrid.host.scene.scene import Scene
@@ -31,8 +31,10 @@ def turntable(scene: Scene, frames: int, turn_scene: bool = False) -> Scene:
     every = np.concatenate([batch.ids for batch in scene.surfaces])
     chosen = every if turn_scene else every[:0]
     groups = make_groups(chosen, np.zeros(len(chosen), np.int64), int(turn_scene))
-    table = _Table(scene, frames, turn_scene, _axis(scene.up), exposure_point(scene.camera, scene.surfaces.bounds()))
-    return replace(scene, shot=Shot(frames, (GROUP,) * int(turn_scene), groups, table.pose))
+    table = _TurntableMotion(
+        scene, frames, turn_scene, _axis(scene.up), exposure_point(scene.camera, scene.surfaces.bounds())
+    )
+    return replace(scene, shot=Animation(frames, (GROUP,) * int(turn_scene), groups, table.pose))
 
 
 def _axis(above: Vector) -> F64:
@@ -44,7 +46,7 @@ def _axis(above: Vector) -> F64:
 
 
 @dataclass(frozen=True)
-class _Table:
+class _TurntableMotion:
     scene: Scene
     frames: int
     turn_scene: bool

@@ -22,11 +22,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.host.scene.animation.animation import Shot
+from raygrid.host.scene.animation.animation import Animation
 from raygrid.host.scene.builder import MAX_COORDINATE, SceneBuilder, plural, shown
 from raygrid.host.scene.cameras import Camera, look_at_everything, orthographic_camera, perspective_camera
 from raygrid.host.scene.finish import finish_scene
-from raygrid.host.scene.formats.gltf_animation import GltfRig, Part, frames_of, part_names, read_animations
+from raygrid.host.scene.formats.gltf_animation import GltfAnimation, Part, frames_of, part_names, read_animations
 from raygrid.host.scene.formats.gltf_document import Document
 from raygrid.host.scene.formats.gltf_materials import TINTED, GltfMaterial, Materials
 from raygrid.host.scene.lights import (
@@ -66,14 +66,14 @@ def load_gltf(path: Path) -> Scene:
     try:
         # Wild numbers may overflow on their way; what has become of them is checked where it is used.
         with np.errstate(all="ignore"):
-            return _Reader(Document(path)).scene()
+            return _GltfReader(Document(path)).scene()
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         # The document is free-form JSON: whatever has the wrong type or is missing ends here.
         came = f"{type(error).__name__}: {error}"
         raise SceneError(f"{path}: the file is not valid glTF ({shown(came)})") from error
 
 
-class _Reader:
+class _GltfReader:
     def __init__(self, document: Document) -> None:
         self.document = document
         self.builder = SceneBuilder(str(document.path))
@@ -107,7 +107,7 @@ class _Reader:
         scene = finish_scene(self.builder, self.document.path, camera=camera, lights=lights, highlights=True)
         return replace(scene, shot=self._shot(scene)) if self.motions else scene
 
-    def _shot(self, scene: Scene) -> Shot:
+    def _shot(self, scene: Scene) -> Animation:
         """What the animations change."""
         orders, parts = self.builder.orders, [part for part, _, _ in self.moving]
         ids, numbers = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
@@ -117,7 +117,7 @@ class _Reader:
         given = max((float(light["intensity"].max()) for light in self.lights), default=0.0)
         shown_as = float(scene.lights["intensity"].max(initial=0.0))
         camera = next((part for part in self.camera_parts[:1] if part.moves(self.motions)), None)
-        rig = GltfRig(
+        rig = GltfAnimation(
             scene,
             self.motions,
             node_matrix,
@@ -129,7 +129,7 @@ class _Reader:
             shown_as / given if given > 0.0 else 1.0,
         )
         groups = make_groups(np.concatenate(ids), np.concatenate(numbers), len(parts))
-        return Shot(frames_of(self._last), tuple(part.name for part in parts), groups, rig.pose)
+        return Animation(frames_of(self._last), tuple(part.name for part in parts), groups, rig.pose)
 
     def _exposed(self, camera: Camera | None) -> Table | None:
         if not self.lights:

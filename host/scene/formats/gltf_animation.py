@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from raygrid.host.scene.animation.animation import FPS, MAX_FRAMES, Pose, motion
-from raygrid.host.scene.animation.keyframes import Track, make_track
+from raygrid.host.scene.animation.keyframes import Keyframes, make_keyframes
 from raygrid.host.scene.cameras import Camera
 from raygrid.host.scene.formats.gltf_document import Document
 from raygrid.host.scene.lights import Table, light_table
@@ -50,7 +50,7 @@ class Spline:
         )
 
 
-Motions = dict[tuple[int, str], Track | Spline]
+Motions = dict[tuple[int, str], Keyframes | Spline]
 
 
 def read_animations(document: Document) -> tuple[Motions, float]:
@@ -73,7 +73,7 @@ def read_animations(document: Document) -> tuple[Motions, float]:
     return found, last
 
 
-def _track(document: Document, sampler: dict[str, Any], path: str, where: str) -> tuple[Track | Spline, float]:
+def _track(document: Document, sampler: dict[str, Any], path: str, where: str) -> tuple[Keyframes | Spline, float]:
     times = document.accessor(sampler["input"])[:, 0].astype(np.float64)
     values = document.accessor(sampler["output"]).astype(np.float64)
     way = sampler.get("interpolation", "LINEAR")
@@ -85,13 +85,13 @@ def _track(document: Document, sampler: dict[str, Any], path: str, where: str) -
         )
     try:
         if way == "CUBICSPLINE":
-            make_track(times, values.reshape(len(times), -1))
+            make_keyframes(times, values.reshape(len(times), -1))
             return Spline(times, values.reshape(len(times), 3, -1)), float(times[-1])
         if path == "rotation":
             length = np.linalg.norm(values, axis=1, keepdims=True)
             values = np.where(length > 0.0, values / np.where(length > 0.0, length, 1.0), (0.0, 0.0, 0.0, 1.0))
         step = "step" if way == "STEP" else "linear"
-        return make_track(times, values, step, turns=path == "rotation"), float(times[-1])
+        return make_keyframes(times, values, step, turns=path == "rotation"), float(times[-1])
     except SceneError as error:
         raise document.error(f"{where}, {path}: {error}") from None
 
@@ -117,7 +117,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class GltfRig:
+class GltfAnimation:
     """The moving parts of a file. `place` gives a node's own matrix, (4, 4), of its row."""
 
     scene: Scene

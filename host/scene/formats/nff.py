@@ -33,7 +33,7 @@ from raygrid.host.scene.scene import Scene
 from raygrid.host.text.standard_streams import shown_name
 from raygrid.node.errors import SceneError
 from raygrid.node.geometry import F64, Kind
-from raygrid.node.protocol import MATERIAL
+from raygrid.node.protocol import MATERIAL_RECORD
 
 Mask = NDArray[np.bool_]
 
@@ -270,7 +270,7 @@ def _add_surfaces(words: Words, builder: SceneBuilder) -> None:
 
 
 def _fills(data: F64) -> Table:
-    rows = np.zeros(len(data), MATERIAL)
+    rows = np.zeros(len(data), MATERIAL_RECORD)
     rows["diffuse"] = data[:, 0:3] * data[:, 3:4]
     rows["specular"] = rows["highlight"] = data[:, 4:5]
     rows["shine"], rows["transmission"] = data[:, 5], data[:, 6:7]

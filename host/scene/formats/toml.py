@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.host.files.toml_reader import read_toml
-from raygrid.host.scene.animation.animation import Shot, quaternion
-from raygrid.host.scene.animation.scene_animation import Rig, keyed
+from raygrid.host.scene.animation.animation import Animation, quaternion
+from raygrid.host.scene.animation.scene_animation import SceneAnimation, keyed
 from raygrid.host.scene.builder import SceneBuilder, material, shown
 from raygrid.host.scene.cameras import DEFAULT_FOV, Camera, orthographic_camera, perspective_camera
 from raygrid.host.scene.file_access import read_bytes
@@ -46,10 +46,10 @@ def load_scenefile(path: Path) -> Scene:
         text, tables = read_toml(data)
     except ValueError as error:
         raise SceneError(f"{path}: the TOML cannot be read ({error})") from None
-    return _Reader(path, text, checked(path, text, tables)).scene()
+    return _TomlReader(path, text, checked(path, text, tables)).scene()
 
 
-class _Reader:
+class _TomlReader:
     def __init__(self, path: Path, text: str, file: schema.SceneFile) -> None:
         self.path = path
         self.text = text
@@ -99,9 +99,9 @@ class _Reader:
                 rules[row, 0], rules[row, 1 : 1 + len(m.rule)] = 1.0, m.rule
         return rules
 
-    def _shot(self, scene: Scene, first_lights: Table) -> Shot | None:
+    def _shot(self, scene: Scene, first_lights: Table) -> Animation | None:
         """What changes; None if nothing does."""
-        file, table = self.file, self.file.shot or schema.ShotTable()
+        file, table = self.file, self.file.shot or schema.AnimationTable()
         holders = [
             *file.groups.values(),
             *([file.camera] if file.camera else []),
@@ -112,7 +112,7 @@ class _Reader:
         if table.frames is None and last == 0:
             return None
         names, way = tuple(file.groups), table.interpolation
-        rig = Rig(
+        rig = SceneAnimation(
             scene,
             tuple(keyed(schema.Motion(), g.keys, g.interpolation or way) for g in file.groups.values()),
             tuple(g.pivot for g in file.groups.values()),
@@ -129,7 +129,7 @@ class _Reader:
             _light,
             _material,
         )
-        return Shot(table.frames or last, names, self._groups(names), rig.pose, table.fps)
+        return Animation(table.frames or last, names, self._groups(names), rig.pose, table.fps)
 
     def _groups(self, names: tuple[str, ...]) -> Groups:
         """Which surfaces are in which group."""
@@ -263,7 +263,7 @@ class _Reader:
             raise self._error(("camera",), f"shows nothing: {error}") from None
 
     @staticmethod
-    def _camera_of(c: schema.Camera) -> Camera:
+    def _camera_of(c: schema.CameraTable) -> Camera:
         if c.orthographic is not None:
             return orthographic_camera(c.eye, c.at, c.up, c.orthographic)
         return perspective_camera(c.eye, c.at, c.up, DEFAULT_FOV if c.fov is None else c.fov)

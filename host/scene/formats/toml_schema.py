@@ -61,13 +61,13 @@ WHITE = (1.0, 1.0, 1.0)
 COLOUR = Field(default=WHITE, validation_alias=AliasChoices("colour", "color"))
 
 
-class Table(BaseModel):
+class FileTable(BaseModel):
     """A table of a scene file: no keys but its own."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
 
-class Key(Table):
+class Key(FileTable):
     """A table of a list named `keys`: values at a frame."""
 
     frame: Annotated[Whole, Field(ge=1, le=MAX_FRAME)]
@@ -85,7 +85,7 @@ def _ascending(keys: list[Key]) -> list[Key]:
 Way = Literal["linear", "smooth"]
 
 
-class Image(Table):
+class Image(FileTable):
     """[image]"""
 
     width: Annotated[Whole, Field(ge=1, le=MAX_SIDE)] | None = None
@@ -101,7 +101,7 @@ class Image(Table):
         return self
 
 
-class ShotTable(Table):
+class AnimationTable(FileTable):
     """[shot]"""
 
     frames: Annotated[Whole, Field(ge=1, le=MAX_FRAME)] | None = None
@@ -109,7 +109,7 @@ class ShotTable(Table):
     interpolation: Way = "linear"
 
 
-class Motion(Table):
+class Motion(FileTable):
     """What the keys of a group change."""
 
     translate: Point = (0.0, 0.0, 0.0)
@@ -125,7 +125,7 @@ class GroupKey(Key):
     scale: Above0 | None = None
 
 
-class Group(Table):
+class Group(FileTable):
     """[groups.NAME]"""
 
     parent: Text | None = None
@@ -144,7 +144,7 @@ class CameraKey(Key):
     orthographic: Above0 | None = None
 
 
-class Camera(Table):
+class CameraTable(FileTable):
     """[camera]"""
 
     eye: Point = Field(validation_alias=AliasChoices("from", "eye"))
@@ -155,7 +155,7 @@ class Camera(Table):
     keys: Annotated[list[CameraKey], AfterValidator(_ascending)] = Field(default_factory=list)
 
     @model_validator(mode="after")
-    def _one_view(self) -> Camera:
+    def _one_view(self) -> CameraTable:
         named = {
             name for table in (self, *self.keys) for name in ("fov", "orthographic") if getattr(table, name) is not None
         }
@@ -176,7 +176,7 @@ class MaterialKey(Key):
     ior: Ior | None = None
 
 
-class Material(Table):
+class Material(FileTable):
     """[materials.NAME]"""
 
     colour: Colour = COLOUR
@@ -215,7 +215,7 @@ class DirectionalKey(LightKey):
     towards: Direction | None = None
 
 
-class PointLight(Table):
+class PointLight(FileTable):
     """[[lights]] of kind point"""
 
     kind: Literal["point"]
@@ -226,7 +226,7 @@ class PointLight(Table):
     falloff: Flag = False
 
 
-class SpotLight(Table):
+class SpotLight(FileTable):
     """[[lights]] of kind spot; the angles are measured from the axis."""
 
     kind: Literal["spot"]
@@ -248,7 +248,7 @@ class SpotLight(Table):
         return self
 
 
-class DirectionalLight(Table):
+class DirectionalLight(FileTable):
     """[[lights]] of kind directional"""
 
     kind: Literal["directional"]
@@ -260,7 +260,7 @@ class DirectionalLight(Table):
     disc_colour: Colour | None = Field(default=None, validation_alias=AliasChoices("disc_colour", "disc_color"))
 
 
-class Sphere(Table):
+class Sphere(FileTable):
     """[[surfaces]] of kind sphere; below 0 the radius means that only the inside shows."""
 
     kind: Literal["sphere"]
@@ -270,7 +270,7 @@ class Sphere(Table):
     radius: NotZero
 
 
-class Cylinder(Table):
+class Cylinder(FileTable):
     """[[surfaces]] of kind cylinder, open at both ends"""
 
     kind: Literal["cylinder"]
@@ -281,7 +281,7 @@ class Cylinder(Table):
     radius: NotZero
 
 
-class Cone(Table):
+class Cone(FileTable):
     """[[surfaces]] of kind cone, open at both ends"""
 
     kind: Literal["cone"]
@@ -293,7 +293,7 @@ class Cone(Table):
     apex_radius: Number = 0.0
 
 
-class Triangle(Table):
+class Triangle(FileTable):
     """[[surfaces]] of kind triangle"""
 
     kind: Literal["triangle"]
@@ -303,7 +303,7 @@ class Triangle(Table):
     normals: tuple[Direction, Direction, Direction] | None = None
 
 
-class Polygon(Table):
+class Polygon(FileTable):
     """[[surfaces]] of kind polygon"""
 
     kind: Literal["polygon"]
@@ -312,7 +312,7 @@ class Polygon(Table):
     points: Annotated[list[Point], Field(min_length=3)]
 
 
-class Box(Table):
+class Box(FileTable):
     """[[surfaces]] of kind box, along the axes"""
 
     kind: Literal["box"]
@@ -328,7 +328,7 @@ class Box(Table):
         return self
 
 
-class ProgramSurface(Table):
+class ProgramSurface(FileTable):
     """[[surfaces]] of kind program: what the program makes of its numbers, in a box"""
 
     kind: Literal["program"]
@@ -341,7 +341,7 @@ class ProgramSurface(Table):
     numbers: Annotated[list[Number], Field(max_length=8)] = Field(default_factory=list)
 
 
-class Mesh(Table):
+class Mesh(FileTable):
     """[[meshes]]: the surfaces of another file"""
 
     file: Text
@@ -356,15 +356,15 @@ Light = Annotated[PointLight | SpotLight | DirectionalLight, Field(discriminator
 Surface = Annotated[Sphere | Cylinder | Cone | Triangle | Polygon | Box | ProgramSurface, Field(discriminator="kind")]
 
 
-class SceneFile(Table):
+class SceneFile(FileTable):
     """The whole file."""
 
     include: Text | None = None
     background: Colour | None = None
     highlights: Flag | None = None
     image: Image | None = None
-    camera: Camera | None = None
-    shot: ShotTable | None = None
+    camera: CameraTable | None = None
+    shot: AnimationTable | None = None
     groups: dict[str, Group] = Field(default_factory=dict)
     materials: dict[str, Material] = Field(default_factory=dict)
     lights: list[Light] = Field(default_factory=list)
@@ -372,11 +372,11 @@ class SceneFile(Table):
     meshes: list[Mesh] = Field(default_factory=list)
 
 
-TABLES: dict[str, type[Table]] = {
+TABLES: dict[str, type[FileTable]] = {
     "image": Image,
-    "shot": ShotTable,
+    "shot": AnimationTable,
     "groups": Group,
-    "camera": Camera,
+    "camera": CameraTable,
     "materials": Material,
     "meshes": Mesh,
     "point": PointLight,

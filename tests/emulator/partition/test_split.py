@@ -14,8 +14,15 @@ from support.surfaces import batch, random_rows
 from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.emulator.partition import sampling_prepass as pilot_module
 from raygrid.emulator.partition import split as split_module
-from raygrid.emulator.partition.cost_grid import NotCompiledError, Weights, by_cell, from_cache_only, improve, tally
-from raygrid.emulator.partition.sampling_prepass import MOST_SURFACES, fly, stand_ins
+from raygrid.emulator.partition.cost_grid import (
+    NotCompiledError,
+    Weights,
+    by_cell,
+    count_work,
+    from_cache_only,
+    improve,
+)
+from raygrid.emulator.partition.sampling_prepass import MOST_SURFACES, run_prepass, stand_ins
 from raygrid.emulator.partition.split import split
 from raygrid.host.render.frame import render_job
 from raygrid.host.render.job import Job, Settings, make_job
@@ -142,29 +149,31 @@ def test_a_kind_or_shape_that_cannot_be_is_named() -> None:
 @pytest.mark.parametrize("kind", ["uniform", "balanced"])
 def test_walks_are_counted_as_the_nodes_count_them(name: str, shape: Shape, kind: str) -> None:
     job = job_of(name, shape, size=(40, 30), samples=1, split=kind, min_weight=0.0)
-    pilot = fly(job.world.step, job.surfaces, job.frame)
-    np.testing.assert_array_equal(by_cell(tally(pilot, job.space, WALKS)), walks_of(job))
+    pilot = run_prepass(job.world.step, job.surfaces, job.frame)
+    np.testing.assert_array_equal(by_cell(count_work(pilot, job.space, WALKS)), walks_of(job))
 
 
 def test_a_choice_of_planes_of_a_finer_grid_has_the_walks_of_its_own_grid() -> None:
     job = job_of("kinds.nff", (1, 1, 1), size=(30, 30))
-    pilot = fly(job.world.step, job.surfaces, job.frame)
+    pilot = run_prepass(job.world.step, job.surfaces, job.frame)
     rng = np.random.default_rng(7)
     lines = [np.sort(rng.choice(np.arange(1000, LATTICE - 1000, 1000), 9, replace=False)) for _ in range(3)]
     fine = make_space(job.world.step, [[0, *line.tolist(), LATTICE] for line in lines])
-    work = tally(pilot, fine, WALKS)
+    work = count_work(pilot, fine, WALKS)
     planes = np.array([[0, 2, 5, 10], [0, 1, 10, 0], [0, 4, 9, 10]])
     before = planes.copy()
     cost = improve(work, (3, 2, 3), planes)  # the planes move, and their cost is that of their own grid
     assert planes.tolist() != before.tolist()
     chosen = [fine.planes[axis, planes[axis, : cells + 1]].tolist() for axis, cells in enumerate((3, 2, 3))]
-    cells = by_cell(tally(pilot, make_space(job.world.step, chosen), WALKS))
+    cells = by_cell(count_work(pilot, make_space(job.world.step, chosen), WALKS))
     assert cost == pytest.approx(cells.max() + 0.5 * cells.mean(), rel=0.05)
 
 
 def test_a_coarse_pilot_sees_what_a_fine_one_sees() -> None:
     job = job_of("glass.toml", (3, 3, 3), size=(512, 512))
-    coarse, fine = (by_cell(tally(fly(job.world.step, job.surfaces, job.frame, n), job.space)) for n in (48, 160))
+    coarse, fine = (
+        by_cell(count_work(run_prepass(job.world.step, job.surfaces, job.frame, n), job.space)) for n in (48, 160)
+    )
     assert np.abs(coarse / coarse.sum() - fine / fine.sum()).max() < 0.01
 
 
@@ -185,7 +194,7 @@ def test_the_busiest_node_of_a_tree_has_less_to_do(shape: Shape) -> None:
     busiest, total = {}, {}
     for kind in ("uniform", "balanced"):
         job = job_of("tree.nff", shape, split=kind)
-        cells = by_cell(tally(fly(job.world.step, job.surfaces, job.frame, 96), job.space))
+        cells = by_cell(count_work(run_prepass(job.world.step, job.surfaces, job.frame, 96), job.space))
         busiest[kind], total[kind] = cells.max(), cells.sum()
     assert busiest["balanced"] < busiest["uniform"]
     assert total["balanced"] < 1.3 * total["uniform"]
@@ -209,9 +218,9 @@ def test_a_large_mesh_is_seen_by_its_stand_ins(monkeypatch: pytest.MonkeyPatch) 
     chosen = stand_ins(mesh)
     assert len(chosen) <= MOST_SURFACES
     assert (chosen.batches[0].data == floor).all(axis=1).any()
-    some = by_cell(tally(fly(job.world.step, mesh, job.frame), job.space, WALKS))
+    some = by_cell(count_work(run_prepass(job.world.step, mesh, job.frame), job.space, WALKS))
     monkeypatch.setattr(pilot_module, "stand_ins", merge)
-    whole = by_cell(tally(fly(job.world.step, mesh, job.frame), job.space, WALKS))
+    whole = by_cell(count_work(run_prepass(job.world.step, mesh, job.frame), job.space, WALKS))
     assert np.abs(some / some.sum() - whole / whole.sum()).max() < 0.03
 
 

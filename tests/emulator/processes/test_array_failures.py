@@ -30,7 +30,7 @@ from raygrid.node.geometry.grid_walk import HOST
 from raygrid.node.protocol.messages import HEAD, HEADER, MessageKind
 from raygrid.node.protocol.packets import FAULTS, SIZE
 from raygrid.node.runtime.reduction import SUMS
-from raygrid.node.tracing.batch import IDLE
+from raygrid.node.tracing.batch import BATCH_IDLE
 
 SIZE_OF_PICTURE = (24, 18)
 NAME = "2x2x2"
@@ -125,7 +125,7 @@ def test_a_node_that_stops_working_is_named():
     array = hasty()
     load(array, NAME, scene())
     (lame,) = [processor for processor in array.processors if processor.index == where()[0]]
-    lame.tracer.work = lambda wait: IDLE
+    lame.tracer.work = lambda wait: BATCH_IDLE
     index = ",".join(map(str, lame.index))
     with pytest.raises(Stuck, match=rf"no counter moved for 0\.2 seconds .*; (.*; )?{index} holds \d+"):
         array.driver.trace(scene().frame)

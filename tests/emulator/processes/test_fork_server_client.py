@@ -21,17 +21,17 @@ from support.processes import (
     wait_readable,
 )
 
-from raygrid.emulator.processes.control import LENGTH, LONGEST_MESSAGE, Control
-from raygrid.emulator.processes.fork_server_client import Nursery, Warming
+from raygrid.emulator.processes.control import LENGTH, LONGEST_MESSAGE, ForkServerChannel
+from raygrid.emulator.processes.fork_server_client import ForkServerClient, Warming
 from raygrid.node.errors import ArrayError, LostProcess, ProtocolError
 
 pytestmark = pytest.mark.usefixtures("no_leftovers")
 __all__ = ["gate", "no_leftovers"]  # fixtures
 
 
-def start(warm: str = "warm_quickly", **options) -> Nursery:
+def start(warm: str = "warm_quickly", **options) -> ForkServerClient:
     """A nursery with the stand-in program."""
-    return Nursery.start(program="support.processes", warm=f"support.processes:{warm}", **options)
+    return ForkServerClient.start(program="support.processes", warm=f"support.processes:{warm}", **options)
 
 
 # --- launching -----------------------------------------------------------------------------------
@@ -295,7 +295,7 @@ def test_a_fork_of_the_front_end_does_not_end_its_nodes(gate: Gate):
 
 
 def test_nodes_outlive_the_thread_that_started_the_nursery(gate: Gate):
-    started: list[Nursery] = []
+    started: list[ForkServerClient] = []
     thread = threading.Thread(target=lambda: started.append(start()))
     thread.start()
     thread.join()
@@ -310,7 +310,7 @@ def test_nodes_outlive_the_thread_that_started_the_nursery(gate: Gate):
 
 def test_a_program_that_is_not_there():
     said = r"exit code 1 before it was warm: raygrid nursery: ModuleNotFoundError: No"
-    with Nursery.start(program="no_such_program") as nursery, pytest.raises(ArrayError, match=said):
+    with ForkServerClient.start(program="no_such_program") as nursery, pytest.raises(ArrayError, match=said):
         nursery.wait_warm(TIMEOUT)
 
 
@@ -342,7 +342,7 @@ def test_a_front_end_that_died_before_the_nursery_was_warm(pair):
     command = [sys.executable, "-m", "raygrid.emulator.processes.fork_server", number, "--front-end", str(dead.pid)]
     stand_in = ["--program", "support.processes", "--warm", "support.processes:warm_quickly"]
     subprocess.run(command + stand_in, pass_fds=[int(number)], timeout=TIMEOUT, check=True)
-    assert Control(left).receive()[-1] == {"is": "warm"}
+    assert ForkServerChannel(left).receive()[-1] == {"is": "warm"}
 
 
 def test_a_python_that_cannot_be_run(monkeypatch):
@@ -386,14 +386,14 @@ def test_the_life_pipe_alone_ends_a_node(gate: Gate, tmp_path):
 def pair():
     left, right = socket.socketpair()
     with left, right:
-        yield left, Control(right)
+        yield left, ForkServerChannel(right)
 
 
 def test_messages_survive_any_cutting(pair):
     left, control = pair
     sender, copy = socket.socketpair()
     with sender, copy:
-        Control(sender).send({"index": [1, 2, 3]})
+        ForkServerChannel(sender).send({"index": [1, 2, 3]})
         whole = copy.recv(1000)
     received = []
     for byte in whole * 2:
@@ -405,7 +405,7 @@ def test_messages_survive_any_cutting(pair):
 
 def test_the_end_comes_after_the_last_message(pair):
     left, control = pair
-    Control(left).send({"is": "warm"})
+    ForkServerChannel(left).send({"is": "warm"})
     left.close()
     assert control.receive() == [{"is": "warm"}]
     assert control.closed

@@ -10,7 +10,7 @@ from numba import njit
 from raygrid.emulator.processes import compile_clock, kernel_kinds
 from raygrid.emulator.processes.kernel_kinds import KINDS, NOTE, compiling, kind_of
 from raygrid.emulator.processes.warm import told_of
-from raygrid.host.cli.progress import Talk
+from raygrid.host.cli.progress import ProgressReporter
 from raygrid.node import remarks
 
 
@@ -20,7 +20,7 @@ def said(capsys):
 
 
 def test_each_kind_of_kernels_is_named_once_and_how_many_there_are(said):
-    with Talk(False) as talk:
+    with ProgressReporter(False) as talk:
         talk.warming(0, 338, "loading kernels")
         assert said() == ""
         for kind in (kernel_kinds.NODES, kernel_kinds.SIMULATOR, kernel_kinds.NODES):
@@ -33,7 +33,7 @@ def test_each_kind_of_kernels_is_named_once_and_how_many_there_are(said):
 
 
 def test_remarks_on_kernels_are_notes(said):
-    with Talk(False) as talk:
+    with ProgressReporter(False) as talk:
         talk.warming(3, 338, NOTE + "compiled kernels cannot be kept")
     assert said() == "note: compiled kernels cannot be kept\n"
 

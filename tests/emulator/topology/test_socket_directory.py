@@ -17,7 +17,7 @@ from support.processes import FrontEnd, Gate, Leftovers, gate, no_leftovers, wai
 from raygrid.emulator.topology import socket_directory
 from raygrid.emulator.topology.socket_directory import (
     PID_FILE,
-    Place,
+    SocketDirectory,
     endpoint,
     host_endpoint,
     longest_path,
@@ -110,7 +110,7 @@ def test_only_its_owner_may_enter(base, umask):
     base.chmod(0o755)
     before = os.umask(umask)
     try:
-        place = Place.create((2, 2, 2))
+        place = SocketDirectory.create((2, 2, 2))
     finally:
         os.umask(before)
     with place:
@@ -124,14 +124,14 @@ def test_only_its_owner_may_enter(base, umask):
 
 
 def test_names_are_fresh(base):
-    with Place.create((1, 1, 1)) as one, Place.create((1, 1, 1)) as two:
+    with SocketDirectory.create((1, 1, 1)) as one, SocketDirectory.create((1, 1, 1)) as two:
         assert one.path != two.path
         assert len(Path(one.path).name) == len("raygrid-") + 12
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, SystemExit])
 def test_it_is_removed_with_all_that_is_in_it(base, error):
-    place = Place.create((1, 1, 1))
+    place = SocketDirectory.create((1, 1, 1))
     with socket.socket(socket.AF_UNIX) as bound:
         bound.bind(place.endpoint(0, (0, 0, 0), 0).removeprefix("ipc://"))
     with pytest.raises(error), place:
@@ -141,7 +141,7 @@ def test_it_is_removed_with_all_that_is_in_it(base, error):
 
 
 def test_a_fork_does_not_remove_it(base):
-    with Place.create((1, 1, 1)) as place:
+    with SocketDirectory.create((1, 1, 1)) as place:
         fork = os.fork()
         if fork == 0:
             place.remove()
@@ -152,7 +152,7 @@ def test_a_fork_does_not_remove_it(base):
 
 def test_the_longest_socket_of_the_largest_array_can_be_bound(base):
     shape = (65535, 65535, 65535)
-    with Place.create(shape) as place, socket.socket(socket.AF_UNIX) as bound:
+    with SocketDirectory.create(shape) as place, socket.socket(socket.AF_UNIX) as bound:
         path = place.endpoint(65535, (65534, 65534, 65534), 2).removeprefix("ipc://")
         assert len(path) == longest_path(place.path, shape)
         bound.bind(path)
@@ -165,19 +165,19 @@ def refusals(monkeypatch) -> str:
     """What creating says when the only base is the directory XDG_RUNTIME_DIR."""
     monkeypatch.setattr(socket_directory, "bases", lambda: [os.environ["XDG_RUNTIME_DIR"]])
     with pytest.raises(ArrayError, match="wanted one that is ours or sticky, can be written, and is short") as error:
-        Place.create((2, 2, 2))
+        SocketDirectory.create((2, 2, 2))
     return str(error.value)
 
 
 def test_the_runtime_directory_comes_first(no_leftovers, elsewhere):
-    with Place.create((2, 2, 2)) as place:
+    with SocketDirectory.create((2, 2, 2)) as place:
         assert os.path.dirname(place.path) == no_leftovers
 
 
 @pytest.mark.parametrize("value", ["", "/no/such/directory", "not/absolute", "/etc/passwd", "/" + "long/" * 30])
 def test_without_a_usable_one_the_temporary_directory_is_taken(monkeypatch, elsewhere, value):
     monkeypatch.setenv("XDG_RUNTIME_DIR", value)
-    with Place.create((2, 2, 2)) as place:
+    with SocketDirectory.create((2, 2, 2)) as place:
         assert os.path.dirname(place.path) == str(elsewhere)
 
 
@@ -186,7 +186,7 @@ def test_with_a_long_temporary_directory_too_tmp_is_taken(monkeypatch, tmp_path)
     long.mkdir()
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(long))
     monkeypatch.setattr(tempfile, "tempdir", str(long))
-    with Place.create((2, 2, 2)) as place:
+    with SocketDirectory.create((2, 2, 2)) as place:
         assert os.path.dirname(place.path) == os.path.realpath("/tmp")
 
 
@@ -219,7 +219,7 @@ def test_a_link_with_the_name_of_the_directory_is_not_followed(monkeypatch, base
 def test_others_must_not_be_able_to_exchange_it(monkeypatch, base, mode, safe):
     base.chmod(mode)
     if safe:
-        Place.create((1, 1, 1)).remove()
+        SocketDirectory.create((1, 1, 1)).remove()
     else:
         assert f"{base} (writable by others and not sticky)" in refusals(monkeypatch)
     base.chmod(0o700)
@@ -249,7 +249,7 @@ def test_one_of_another_user(monkeypatch, base):
 def test_the_directory_of_a_dead_front_end_is_swept(base):
     pid = dead_process()
     stale = make_directory(base, f"{pid} 1 {os.readlink('/proc/self/ns/pid')}\n")
-    with Place.create((1, 1, 1)):
+    with SocketDirectory.create((1, 1, 1)):
         assert not stale.exists()
 
 
@@ -332,7 +332,7 @@ def test_a_front_end_killed_together_with_its_nursery_is_swept_after(gate: Gate)
     gate.wait_empty()
     front_end.finish()
     assert Path(front_end.directory).exists()
-    with Place.create((1, 1, 1)):
+    with SocketDirectory.create((1, 1, 1)):
         assert not Path(front_end.directory).exists()
 
 
@@ -405,7 +405,7 @@ def test_the_check_sees_what_is_left(no_leftovers):
     script = f"import subprocess; print(subprocess.Popen({sleeper!r}, start_new_session=True, stdout=-3).pid)"
     orphan = int(subprocess.check_output([sys.executable, "-c", script]))
     reading, writing = os.pipe()
-    place = Place.create((1, 1, 1))
+    place = SocketDirectory.create((1, 1, 1))
     with socket.socket() as left:
         found = "\n".join(leftovers.find())
         assert f"process {child.pid} (" in found

@@ -19,7 +19,7 @@ from support.render import SCENES
 from raygrid.emulator.driver.driver import Progress
 from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.host.cli.commands.frames import as_ranges
-from raygrid.host.cli.progress import Talk
+from raygrid.host.cli.progress import ProgressReporter
 from raygrid.host.image.moving_pictures import Reel, waiting
 from raygrid.host.image.resume_check import KEYWORD
 from raygrid.host.render.animation_jobs import jobs_of
@@ -202,7 +202,7 @@ class Bar:
 
 
 def test_the_progress_of_a_shot_is_that_of_all_its_frames():
-    talk = Talk(quiet=True)
+    talk = ProgressReporter(quiet=True)
     talk._bar, talk._task = Bar(), 0
     talk.shot(4)
     assert talk._bar.total == 4

@@ -13,7 +13,7 @@ from raygrid.emulator.topology.socket_directory import process_mark
 from raygrid.host.client import connection as module
 from raygrid.host.client.connection import Connection
 from raygrid.host.client.protocol import VERSION, Splitter, pack
-from raygrid.host.client.service_files import SOCKET, TOKEN, Record, write_private
+from raygrid.host.client.service_files import SOCKET, TOKEN, ServiceRecord, write_private
 from raygrid.node.errors import ArrayError
 
 __all__ = ["no_leftovers"]
@@ -30,7 +30,7 @@ class Played:
         self._listener.listen(backlog)
         self._listener.settimeout(20.0)
         write_private(module.Path(folder, TOKEN), "secret")
-        self.record = Record("played", os.getpid(), process_mark(os.getpid()), str(folder), (1, 1, 1), 0.0)
+        self.record = ServiceRecord("played", os.getpid(), process_mark(os.getpid()), str(folder), (1, 1, 1), 0.0)
         self.guests = []
 
     def accept(self):

@@ -9,11 +9,11 @@ from support.cases import steady
 from support.render import SCENES
 
 from raygrid.host.client.protocol import pack, unpack
-from raygrid.host.client.requests import Submit, read_job, read_request
+from raygrid.host.client.requests import SubmitMessage, read_job, read_request
 from raygrid.host.image.frames import Turntable
 from raygrid.host.render.job import Settings
 from raygrid.host.render.program_file import read_program
-from raygrid.host.service.scene_store import Wanted, wanted_by
+from raygrid.host.service.scene_store import FrameRequest, wanted_by
 from raygrid.node.errors import ProtocolError
 
 JOB = {"do": "submit", "scene": "/s.nff", "outputs": ["/out/a.png"]}
@@ -22,15 +22,15 @@ JOB = {"do": "submit", "scene": "/s.nff", "outputs": ["/out/a.png"]}
 def test_a_job_has_the_settings_that_were_sent():
     settings = {"size": [64, 48], "samples": 4, "depth": 3, "min_weight": 0.5, "highlights": True, "split": "uniform"}
     request = read_request(unpack(pack(JOB | {"settings": settings})[4:]))
-    assert isinstance(request, Submit)
-    assert wanted_by(request) == Wanted("/s.nff", Settings((64, 48), 4, 3, 0.5, True, "uniform"))
+    assert isinstance(request, SubmitMessage)
+    assert wanted_by(request) == FrameRequest("/s.nff", Settings((64, 48), 4, 3, 0.5, True, "uniform"))
 
 
 def test_a_job_has_the_turntable_and_the_program_that_were_sent():
     marble = str(SCENES / "programs" / "marble.py")
     more = {"turntable": {"frames": 9, "scene": True}, "program": marble, "frames": [2, 2]}
     wanted = wanted_by(read_job(read_request(unpack(pack(JOB | more)[4:])).model_dump(mode="json")))
-    assert wanted == Wanted("/s.nff", Settings(program=read_program(marble)), Turntable(9, True), (2, 2))
+    assert wanted == FrameRequest("/s.nff", Settings(program=read_program(marble)), Turntable(9, True), (2, 2))
 
 
 def test_a_job_comes_back_from_the_journal_as_it_was():

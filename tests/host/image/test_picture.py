@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from raygrid.host.image import picture as module
-from raygrid.host.image.picture import Ahead, Picture
+from raygrid.host.image.picture import Encoder, Picture
 from raygrid.node.errors import OutputError
 from raygrid.node.tracing.framebuffer import UNIT
 
@@ -21,7 +21,7 @@ def test_the_files_are_the_same(tmp_path, monkeypatch, name, transfer, most):
     monkeypatch.setattr(module, "MOST_AHEAD", most)
     picture = some_picture()
     ahead, plain = str(tmp_path / name), str(tmp_path / f"plain_{name}")
-    Ahead(picture, [ahead], transfer).save(ahead)
+    Encoder(picture, [ahead], transfer).save(ahead)
     picture.save(plain, transfer)
     with open(ahead, "rb") as one, open(plain, "rb") as other:
         assert one.read() == other.read()
@@ -29,7 +29,7 @@ def test_the_files_are_the_same(tmp_path, monkeypatch, name, transfer, most):
 
 def test_several_files(tmp_path):
     paths = [str(tmp_path / name) for name in ("a.png", "b.npy", "c.png")]
-    encoding = Ahead(some_picture(), paths, "srgb")
+    encoding = Encoder(some_picture(), paths, "srgb")
     for path in paths:
         encoding.save(path)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "c.png").read_bytes()
@@ -38,11 +38,11 @@ def test_several_files(tmp_path):
 
 def test_errors_come_from_saving(tmp_path):
     wide = str(tmp_path / "wide.webp")
-    encoding = Ahead(some_picture(16_384, 1), [wide], "srgb")
+    encoding = Encoder(some_picture(16_384, 1), [wide], "srgb")
     with pytest.raises(OutputError, match="16384"):
         encoding.save(wide)
     gone = str(tmp_path / "gone" / "a.png")
-    encoding = Ahead(some_picture(), [gone], "srgb")
+    encoding = Encoder(some_picture(), [gone], "srgb")
     with pytest.raises(OutputError, match="gone"):
         encoding.save(gone)
     assert not list(tmp_path.iterdir())

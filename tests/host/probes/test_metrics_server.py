@@ -9,7 +9,7 @@ import urllib.request
 
 import pytest
 
-from raygrid.emulator.driver.samples import LinkSample, Sample
+from raygrid.emulator.driver.samples import LinkSample, NodeSample
 from raygrid.host.probes import metrics_server
 from raygrid.host.probes.metrics_server import MOST_VISITS, Endpoint
 from raygrid.host.probes.prometheus import of_probes, of_service
@@ -26,7 +26,7 @@ STATUS = {
 
 def made(node):
     """A sample by hand."""
-    return Sample(
+    return NodeSample(
         node, 0, 0, 1.0, "trace", {"primary": 7}, {}, {}, 0, 0,
         {"travellers": 1, "shadows": 2, "rays": 3}, {}, {"-x": 4}, {"+x": LinkSample(1, 2, 3, 4)}, 5,
         {"pss": 1_000_000}, 0.0, 0,

@@ -16,12 +16,12 @@ from support.processes import no_leftovers, wait_dead
 from support.render import rendered
 
 import raygrid
-from raygrid.emulator.driver.samples import Sample
+from raygrid.emulator.driver.samples import NodeSample
 from raygrid.emulator.processes.array import Array
 from raygrid.emulator.topology.topology import indices
 from raygrid.host.render.frame import render_job
 from raygrid.host.render.job import Settings, make_job
-from raygrid.host.render.retry import render_steadily
+from raygrid.host.render.retry import render_with_retries
 from raygrid.host.scene.load import load_scene
 from raygrid.node.errors import ProtocolError
 
@@ -63,7 +63,7 @@ def test_the_picture_and_the_counts_are_the_same_with_and_without_probes(shape):
 
 
 def test_samples_of_a_node_go_up_and_name_their_phases(array):
-    heard: list[Sample] = []
+    heard: list[NodeSample] = []
     array.probe(100.0, heard.append)
     render_job(array.driver, job((400, 300), 4))
     array.probe(0.0, None)
@@ -79,7 +79,7 @@ def test_samples_of_a_node_go_up_and_name_their_phases(array):
 
 
 def test_a_reset_keeps_the_rate_also_for_nodes_that_are_forked_anew(array):
-    heard: list[Sample] = []
+    heard: list[NodeSample] = []
     array.probe(100.0, heard.append)
     os.kill(array.pids[1], signal.SIGKILL)
     wait_dead(array.pids[1])
@@ -96,7 +96,7 @@ def test_a_reset_keeps_the_rate_also_for_nodes_that_are_forked_anew(array):
 
 
 def test_a_frame_that_loses_a_node_is_the_same_under_probes(array):
-    heard: list[Sample] = []
+    heard: list[NodeSample] = []
     array.probe(100.0, heard.append)
     victim, killed = array.pids[2], []
 
@@ -104,14 +104,14 @@ def test_a_frame_that_loses_a_node_is_the_same_under_probes(array):
         if phase == "trace" and progress is not None and progress.primaries and not killed:
             killed.append(os.kill(victim, signal.SIGKILL))
 
-    picture = render_steadily(array, job(), watch=watch)
+    picture = render_with_retries(array, job(), watch=watch)
     array.probe(0.0, None)
     assert len(picture.stats["faults"]) == 1
     assert np.array_equal(picture.sums, rendered(load_scene(TINY), size=(64, 48), samples=2).sums)
 
 
 def test_words_that_are_no_sample_are_counted(array):
-    heard: list[Sample] = []
+    heard: list[NodeSample] = []
     array.probe(1.0, heard.append)
     array._take_sample((0, 0, 0), {"is": "sample", "epoch": -1})
     assert array.refused_samples == 1
@@ -125,7 +125,7 @@ def test_a_rate_that_cannot_be(array):
 
 
 def test_a_machine_probes_while_it_renders():
-    heard: list[Sample] = []
+    heard: list[NodeSample] = []
     with raygrid.launch(SHAPE) as machine:
         machine.probe(50.0, heard.append)
         machine.render(TINY, size=(200, 150))

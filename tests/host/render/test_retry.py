@@ -18,8 +18,8 @@ from raygrid.emulator.processes.array import Array
 from raygrid.host.image.picture import Picture
 from raygrid.host.render.frame import render_job
 from raygrid.host.render.job import Job, Settings, make_job
-from raygrid.host.render.retry import Fault
-from raygrid.host.render.retry import render_steadily as steadily
+from raygrid.host.render.retry import FaultReport
+from raygrid.host.render.retry import render_with_retries as steadily
 from raygrid.host.scene.load import load_scene
 from raygrid.node.errors import ArrayError, LostProcess, ProtocolError
 from raygrid.node.protocol.messages import MessageKind
@@ -73,7 +73,7 @@ def once(phase: str, act):
 @pytest.mark.parametrize("phase", ["load", "trace", "collect"])
 def test_a_node_lost_in_any_phase_changes_no_bit(array, phase, sign):
     pid = array.pids[2]
-    told: list[Fault] = []
+    told: list[FaultReport] = []
     watch = once(phase, lambda: os.kill(pid, sign))
     picture = render_steadily(array, job(), watch=watch, on_fault=told.append)
     assert np.array_equal(picture.sums, truth())
@@ -139,7 +139,7 @@ def test_a_node_that_dies_each_time_ends_in_one_clear_line(array):
         if now == "trace" and progress is None:
             os.kill(array.pids[1], signal.SIGKILL)
 
-    told: list[Fault] = []
+    told: list[FaultReport] = []
     with pytest.raises(LostProcess) as error:
         render_steadily(array, job(), watch=watch, attempts=3, on_fault=told.append)
     assert len(told) == 2

@@ -22,7 +22,7 @@ from support.render import SCENES
 from raygrid.host.render.job import Settings
 from raygrid.host.scene.load import load_scene
 from raygrid.host.scene.sources import recorded
-from raygrid.host.service.scene_store import SceneStore, Wanted
+from raygrid.host.service.scene_store import FrameRequest, SceneStore
 from raygrid.node.errors import SceneError
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
@@ -484,7 +484,7 @@ def test_gltf_textures_may_be_webp_alone_and_are_decoded_once(tmp_path: Path, mo
 def test_the_scene_that_an_array_keeps_is_read_anew_when_what_was_missing_has_come(tmp_path: Path, how: str) -> None:
     file, contents = CONTENTS[how]
     path, store = str(scene_that_names(tmp_path, how, file)), SceneStore((1, 1, 1))
-    wanted = Wanted(path, Settings(size=(8, 8)))
+    wanted = FrameRequest(path, Settings(size=(8, 8)))
     before = store.frame(wanted, None)
     assert store.frame(wanted, None) is before
     (tmp_path / file).write_bytes(contents)

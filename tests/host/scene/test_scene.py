@@ -26,7 +26,7 @@ from raygrid.host.scene.scene import describe
 from raygrid.node.errors import SceneError
 from raygrid.node.geometry.lattice import SLACK
 from raygrid.node.geometry.surfaces import Kind
-from raygrid.node.protocol.frame import DIRECTIONAL, MATERIAL, POINT
+from raygrid.node.protocol.frame import DIRECTIONAL, MATERIAL_RECORD, POINT
 
 SCENES = paths.SCENES
 TRIANGLE = np.array([[0.0, 0, 0, 1, 0, 0, 0, 1, 0]])
@@ -153,7 +153,7 @@ def test_no_surfaces_is_an_error_that_tells_of_dropped_ones():
 
 def many_materials(count, baked):
     builder = SceneBuilder("x.test")
-    rows = np.zeros(count, MATERIAL)
+    rows = np.zeros(count, MATERIAL_RECORD)
     rows["diffuse"] = np.random.default_rng(3).random((count, 3))
     builder.add_materials(rows, baked=baked)
     builder.add(Kind.SPHERE, np.tile([0.0, 0, 0, 1], (count, 1)), np.arange(count))

@@ -13,7 +13,7 @@ from raygrid.host.journal.journal import Journal
 from raygrid.host.service import jobs as service_jobs
 from raygrid.host.service.job_facts import first_page
 from raygrid.host.service.jobs import Jobs
-from raygrid.host.service.schedule import State
+from raygrid.host.service.schedule import JobState
 from raygrid.node.errors import OutputError, RaygridError
 
 
@@ -140,7 +140,7 @@ def test_a_journal_that_cannot_be_written_catches_up(jobs, monkeypatch):
 
     monkeypatch.setattr(jobs.journal, "frame_done", full)
     take(jobs, 2)
-    assert entry.state is State.DONE
+    assert entry.state is JobState.DONE
     assert jobs.trouble == "the disk is full"
     assert jobs.journal.find(entry.job).state == "running"
     monkeypatch.setattr(jobs.journal, "frame_done", whole)
@@ -159,7 +159,7 @@ def test_a_text_that_nobody_can_write_or_send_blocks_no_record_and_no_list(path,
     jobs.fail(bad, BAD_TEXT)
     take(jobs, 2)
     assert jobs.trouble == ""
-    assert good.state is State.DONE
+    assert good.state is JobState.DONE
     rows = jobs.list(10)
     assert [row["state"] for row in rows] == ["failed", "done"]
     assert len(pack({"is": "jobs", "jobs": rows})) < 10_000

@@ -10,7 +10,7 @@ import pytest
 from raygrid.host.client.protocol import VERSION, Splitter, pack
 from raygrid.host.client.service_files import SOCKET, TOKEN
 from raygrid.host.service import listener
-from raygrid.host.service.listener import Door
+from raygrid.host.service.listener import Listener
 
 
 @pytest.fixture
@@ -54,7 +54,7 @@ def with_door(folder, work):
     """Open a door and let `work(door)` run in a thread beside it."""
 
     async def run():
-        door = Door(folder, answer)
+        door = Listener(folder, answer)
         await door.open()
         try:
             return await asyncio.to_thread(work, door, asyncio.get_running_loop())
@@ -204,7 +204,7 @@ def test_an_answer_with_a_path_that_is_no_utf_8_can_be_read(folder, monkeypatch)
     async def told(self, client, message):
         return {"is": "status", "journal": "/tmp/\udcff"}
 
-    monkeypatch.setattr(Door, "_reply", told)
+    monkeypatch.setattr(Listener, "_reply", told)
 
     def work(door, _):
         with connected(folder) as peer:
@@ -217,7 +217,7 @@ def test_an_answer_that_is_too_long_is_told_and_the_next_one_comes(folder, monke
     async def told(self, client, message):
         return {"is": "jobs", "text": "x" * (9 << 20 if message["do"] == "jobs" else 1)}
 
-    monkeypatch.setattr(Door, "_reply", told)
+    monkeypatch.setattr(Listener, "_reply", told)
 
     def work(door, _):
         with connected(folder) as peer:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.cases import steady
 
-from raygrid.host.service.schedule import MOST_YIELDS, PASSES, Schedule, State
+from raygrid.host.service.schedule import MOST_YIELDS, PASSES, JobState, Schedule
 
 
 def take_all(schedule):
@@ -48,7 +48,7 @@ def test_a_frame_that_was_given_up_comes_again_and_first():
     schedule.put_back(entry)
     assert (entry.job, frame, entry.running) == (1, 0, None)
     assert take_all(schedule) == [(1, 0), (2, 0), (1, 1), (2, 1), (1, 2), (2, 2)]
-    assert entry.state is State.DONE
+    assert entry.state is JobState.DONE
     assert schedule.entries == {}
 
 
@@ -57,7 +57,7 @@ def test_the_frames_of_a_job_that_ended_do_not_come():
     schedule.add(1, "a", range(3), 3)
     schedule.add(2, "a", range(1), 1)
     entry, _ = schedule.next()
-    schedule.end(entry, State.CANCELLED)
+    schedule.end(entry, JobState.CANCELLED)
     schedule.put_back(entry)  # of a frame that was under way
     assert take_all(schedule) == [(2, 0)]
 
@@ -95,7 +95,7 @@ def test_every_frame_is_done_once_whatever_happens(steps):
         elif what == "cancel" and schedule.entries:
             entry = sorted(schedule.entries.values(), key=lambda entry: entry.job)[number % len(schedule.entries)]
             cancelled.add(entry.job)
-            schedule.end(entry, State.CANCELLED)
+            schedule.end(entry, JobState.CANCELLED)
     if running is not None and not running[0].ended:
         done[running[0].job, running[1]] += 1
         schedule.finish(running[0])

@@ -16,7 +16,7 @@ from raygrid.host.render.frame import render_job
 from raygrid.host.render.job import Settings
 from raygrid.host.scene.animation.turntable import turntable
 from raygrid.host.scene.load import load_scene
-from raygrid.host.service.scene_store import SceneStore, Wanted
+from raygrid.host.service.scene_store import FrameRequest, SceneStore
 from raygrid.node.errors import ArrayError
 
 __all__ = ["name", "warm_kernels"]
@@ -127,7 +127,7 @@ def test_what_an_array_must_hold_is_told_apart_by_where_groups_are(tmp_path):
     path, store, loaded = tmp_path / "s.toml", SceneStore((2, 1, 1)), []
     for shift in (1, 2, 1):
         path.write_text(text.format(shift) + still + ball)
-        loaded.append(store.frame(Wanted(str(path), Settings(split="uniform")), 2).loaded)
+        loaded.append(store.frame(FrameRequest(str(path), Settings(split="uniform")), 2).loaded)
     assert loaded[0] == loaded[2] != loaded[1]
 
 

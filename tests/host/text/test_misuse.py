@@ -10,10 +10,19 @@ import pytest
 from support.cli import here, misused, one_line
 from support.render import SCENES
 
-from raygrid.host.cli.group_inspect import Place
-from raygrid.host.cli.group_service import ArrayName
+from raygrid.host.cli.group_inspect import PixelType
+from raygrid.host.cli.group_service import ArrayNameType
 from raygrid.host.cli.main import cli
-from raygrid.host.cli.types import MOST_PIXELS, MOST_SIDE, Edges, Fault, FileName, Number, Pair, Shape
+from raygrid.host.cli.types import (
+    MOST_PIXELS,
+    MOST_SIDE,
+    EdgesType,
+    FaultType,
+    FileName,
+    NumberType,
+    PairType,
+    ShapeType,
+)
 from raygrid.host.render.job import MAX_PIXELS, MAX_SIDE
 
 TINY, MOBILE, RINGS = (str(SCENES / name) for name in ("tiny.nff", "mobile.toml", "rings.toml"))
@@ -21,12 +30,12 @@ TORUS = str(SCENES / "programs" / "torus.py")
 WORDS = ["", " ", "no such", "-", "\udce9", "9" * 5000, "nan", "1e999", "0x10", "\u0661"]
 PAIRS = ["0x0", "5x0", "-5x5", "512", "1e3x1e3", "5x5x5", "x", "65537x1", "65536x65536", "99999x99999"]
 BAD: list[tuple[type[click.ParamType], list[str]]] = [
-    (Pair, WORDS + PAIRS),
-    (Shape, [*WORDS, "0x1x1", "2x2", "2x2x2x2", "axbxc", "-1x2x2", "2.5x1x1", "65536x1x1"]),
-    (Edges, [*WORDS, "0", "1,,2", "1025", "1;2"]),
-    (Fault, [*WORDS, "drop:2", "drop:-1", "drop:0.1:x", "drop:nan", "burn:0.1"]),
-    (Place, [*WORDS, "1", "1,2,3", "-1,0", "1.5,0"]),
-    (ArrayName, ["", ".", "..", "a/b", "x" * 300, "\udce9", "a\0b"]),
+    (PairType, WORDS + PAIRS),
+    (ShapeType, [*WORDS, "0x1x1", "2x2", "2x2x2x2", "axbxc", "-1x2x2", "2.5x1x1", "65536x1x1"]),
+    (EdgesType, [*WORDS, "0", "1,,2", "1025", "1;2"]),
+    (FaultType, [*WORDS, "drop:2", "drop:-1", "drop:0.1:x", "drop:nan", "burn:0.1"]),
+    (PixelType, [*WORDS, "1", "1,2,3", "-1,0", "1.5,0"]),
+    (ArrayNameType, ["", ".", "..", "a/b", "x" * 300, "\udce9", "a\0b"]),
     (FileName, ["", "a\0b"]),
     (click.Choice, WORDS),
 ]
@@ -42,7 +51,7 @@ def arguments(name: str) -> list[str]:
 
 def bad_values(kind: click.ParamType) -> list[str]:
     """What an option of this type cannot be."""
-    if isinstance(kind, Number):
+    if isinstance(kind, NumberType):
         least, most = kind._least, kind._most
         return [*WORDS, str(least - 1), str(most * 2 + 1), "inf", *(["1.5"] if isinstance(least, int) else [])]
     found = [values for of, values in BAD if isinstance(kind, of)]

@@ -22,14 +22,14 @@ from raygrid.node.geometry.bvh import (
     COUNT_MASK,
     COUNT_SHIFT,
     DEPTH,
+    EMPTY_BOUND,
     FIRST_MASK,
     INFLATE,
     LEAF,
     LEAF_BIT,
-    NOWHERE,
     build,
 )
-from raygrid.node.geometry.bvh_simd import CHILDREN, WIDE
+from raygrid.node.geometry.bvh_simd import CHILD_COLUMN, WIDE
 from raygrid.node.geometry.lattice import T_MIN
 from raygrid.node.geometry.surfaces import Batch, Kind, SurfaceSet, merge
 
@@ -53,15 +53,15 @@ def deepest_stack(boxes: F64, kinds: NDArray[np.int8], order: NDArray[np.intp], 
         assert node not in used
         used.add(node)
         deepest = max(deepest, keys + WIDE)
-        planes = nodes[node, :CHILDREN].reshape(2, 3, WIDE).astype(np.float64)
-        lanes = np.flatnonzero((planes != NOWHERE).any((0, 1)))
+        planes = nodes[node, :CHILD_COLUMN].reshape(2, 3, WIDE).astype(np.float64)
+        lanes = np.flatnonzero((planes != EMPTY_BOUND).any((0, 1)))
         assert len(lanes) > 0
-        assert (words[node, CHILDREN + len(lanes) :] == 0).all()
+        assert (words[node, CHILD_COLUMN + len(lanes) :] == 0).all()
         for lane in lanes:
             own_low, own_high = planes[:, :, lane]
             assert (own_low >= low).all()
             assert (own_high <= high).all()
-            child = int(words[node, CHILDREN + lane])
+            child = int(words[node, CHILD_COLUMN + lane])
             if not child & LEAF_BIT:
                 waiting.append((child, own_low, own_high, keys + len(lanes) - 1))
                 continue
@@ -107,7 +107,7 @@ def test_a_broken_tree_is_seen():
     order, nodes = build(boxes)
     for row, column, value in ((0, 3, 0.1234), (5, 24, -0.4), (3, 40, 0.1234)):
         broken = nodes.copy()
-        assert broken[row, column] != NOWHERE
+        assert broken[row, column] != EMPTY_BOUND
         broken[row, column] = value
         with pytest.raises(AssertionError):
             deepest_stack(boxes, kinds, order, broken)

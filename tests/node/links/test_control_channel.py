@@ -10,19 +10,19 @@ import msgpack
 import pytest
 from support.processes import open_descriptors
 
-from raygrid.emulator.processes.control import MOST_DESCRIPTORS, Control
-from raygrid.emulator.processes.control_channels import Lines
+from raygrid.emulator.processes.control import MOST_DESCRIPTORS, ForkServerChannel
+from raygrid.emulator.processes.control_channels import ControlChannels
 from raygrid.node.errors import ProtocolError
-from raygrid.node.links.control_channel import LONGEST_WORDS, Line
+from raygrid.node.links.control_channel import LONGEST_CONTROL_MESSAGE, ControlChannel
 from raygrid.node.protocol.codec import DEEPEST
 from raygrid.node.protocol.reset import LAST_EPOCH, read_reset
 
 
 @pytest.fixture
-def ends() -> Iterator[tuple[Line, Line]]:
+def ends() -> Iterator[tuple[ControlChannel, ControlChannel]]:
     """Both ends of a line."""
     one, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    lines = Line(one.detach()), Line(other.detach())
+    lines = ControlChannel(one.detach()), ControlChannel(other.detach())
     yield lines
     for line in lines:
         line.close()
@@ -67,11 +67,11 @@ def test_maps_that_are_too_deep_or_too_long_are_refused(ends):
     for _ in range(DEEPEST):
         deep = [deep]
     host._socket.send(msgpack.packb({"x": deep}))
-    host._socket.send(msgpack.packb({"x": bytes(LONGEST_WORDS)}))
+    host._socket.send(msgpack.packb({"x": bytes(LONGEST_CONTROL_MESSAGE)}))
     assert node.receive() is None
     assert node.refused == 2
-    with pytest.raises(ProtocolError, match=f"words for a line have {LONGEST_WORDS + 8} bytes"):
-        host.send({"x": bytes(LONGEST_WORDS)})
+    with pytest.raises(ProtocolError, match=f"words for a line have {LONGEST_CONTROL_MESSAGE + 8} bytes"):
+        host.send({"x": bytes(LONGEST_CONTROL_MESSAGE)})
 
 
 def test_the_end_of_the_other_side_is_found_after_its_words(ends):
@@ -93,12 +93,12 @@ def test_descriptors_that_come_along_are_not_taken(ends):
 
 
 def test_all_lines_are_heard_at_once():
-    lines = Lines()
+    lines = ControlChannels()
     others = {}
     for number in range(4):
         one, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         lines.add((number, 0, 0), one.detach())
-        others[number] = Line(other.detach())
+        others[number] = ControlChannel(other.detach())
     assert lines.receive() == []
     others[2].send({"is": "two"})
     others[0].send({"is": "none"})
@@ -128,7 +128,7 @@ def test_all_lines_are_heard_at_once():
 
 def test_descriptors_come_with_the_messages_that_bring_them():
     left, right = socket.socketpair()
-    sender, receiver = Control(left), Control(right)
+    sender, receiver = ForkServerChannel(left), ForkServerChannel(right)
     before = len(open_descriptors())
     for number in range(3):
         pipes = [os.memfd_create(f"{number}-{k}") for k in range(MOST_DESCRIPTORS)]

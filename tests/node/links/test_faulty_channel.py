@@ -17,12 +17,12 @@ from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.emulator.processes.array import Array
 from raygrid.host.render.frame import render_job
 from raygrid.host.render.job import Job, Settings, make_job
-from raygrid.host.render.retry import RECOVERABLE, render_steadily
+from raygrid.host.render.retry import RECOVERABLE, render_with_retries
 from raygrid.host.scene.load import load_scene
 from raygrid.node.errors import ProtocolError
-from raygrid.node.links.faulty_channel import DELAY, FAULT_KINDS, TICK_MS, FaultPlan, Faulty, parse_fault, tend
-from raygrid.node.links.link import Link, State
-from raygrid.node.links.memory_channel import memory_pair
+from raygrid.node.links.faulty_channel import DELAY, FAULT_KINDS, TICK_MS, FaultPlan, FaultyChannel, parse_fault, tend
+from raygrid.node.links.link import Link, LinkPhase
+from raygrid.node.links.memory_channel import memory_channels
 from raygrid.node.protocol.messages import MessageKind
 
 SHAPE = (2, 2, 1)
@@ -42,10 +42,10 @@ class Clock:
 
 def sent_over(plan: FaultPlan, key=(0, 0, 0, 1, 0)) -> tuple[list[bytes], list[dict]]:
     """What comes of MESSAGES, and what was told of it."""
-    one, other = memory_pair(room=10_000)
+    one, other = memory_channels(room=10_000)
     told: list[dict] = []
     clock = Clock()
-    channel = Faulty(one, plan, key, told.append, clock)
+    channel = FaultyChannel(one, plan, key, told.append, clock)
     for message in MESSAGES:
         assert channel.send(message)
         clock.now += DELAY / 10
@@ -81,9 +81,9 @@ def test_delay_keeps_the_order():
 
 
 def test_delay_is_a_delay():
-    one, other = memory_pair()
+    one, other = memory_channels()
     clock = Clock()
-    channel = Faulty(one, FaultPlan("delay", 1.0), (0,), clock=clock)
+    channel = FaultyChannel(one, FaultPlan("delay", 1.0), (0,), clock=clock)
     assert channel.send(b"a")
     assert tend([channel], None) == TICK_MS
     assert other.receive() is None
@@ -123,16 +123,16 @@ def test_the_seed_and_the_place_decide_and_nothing_else(kind):
 
 def talk_over(kind: str, seed: int) -> tuple[list[bytes], int, str]:
     """Data sent over a bad link: what came before anything was noticed, how many were hit, and what was said."""
-    one, other = memory_pair(room=10_000)
+    one, other = memory_channels(room=10_000)
     told: list[dict] = []
     clock = Clock()
-    bad = Faulty(one, FaultPlan(kind, 0.02, seed), (0,), told.append, clock)
+    bad = FaultyChannel(one, FaultPlan(kind, 0.02, seed), (0,), told.append, clock)
     left, right = Link(bad, "left", 0, LEFT, RIGHT), Link(other, "right", 0, RIGHT, LEFT)
     heard: list[bytes] = []
     try:
         for number in range(300):
             left.receive()
-            if left.state is State.UP:
+            if left.state is LinkPhase.UP:
                 left.send_data(MessageKind.PACKETS, 1, number.to_bytes(2, "little"))
             while (arrival := right.receive()) is not None:
                 heard.append(arrival.message[-2:])
@@ -187,7 +187,7 @@ def test_the_picture_is_right_or_there_is_none(kind):
         pictures = 0
         for _ in range(4):
             try:
-                picture = render_steadily(array, job(), budget=500, attempts=4)
+                picture = render_with_retries(array, job(), budget=500, attempts=4)
             except RECOVERABLE as error:
                 assert "\n" not in str(error)
                 array.reset()

@@ -22,7 +22,15 @@ from support.messages import message
 
 from raygrid.node.errors import ProtocolError
 from raygrid.node.links.link import CREDIT as LINK_CREDIT
-from raygrid.node.links.link import DATA_DONE, DATA_DONE_TOLD, DATA_SENT, RECEIVED, SENT, Link, State
+from raygrid.node.links.link import (
+    LINK_DATA_DONE,
+    LINK_DATA_SENT,
+    LINK_DATA_TOLD,
+    LINK_RECEIVED,
+    LINK_SENT,
+    Link,
+    LinkPhase,
+)
 from raygrid.node.protocol.messages import HEAD, VERSION, WINDOW, MessageKind, pack_order, read_header, read_order
 from raygrid.node.protocol.packets import SIZE
 
@@ -37,7 +45,7 @@ BYE, BYE_ACK = MessageKind.BYE, MessageKind.BYE_ACK
 
 def test_both_ends_are_up_after_hello_and_ack(wire):
     talk = Talk(wire)
-    assert [link.state for link in talk.links] == [State.NEW, State.NEW]
+    assert [link.state for link in talk.links] == [LinkPhase.NEW, LinkPhase.NEW]
     talk.up()
     assert talk.heard == ([], [])
     assert not any(link.waiting or link.choked or link.peer_left for link in talk.links)
@@ -56,7 +64,7 @@ def test_hello_says_who_and_ack_follows(wire):
         assert link.receive() is None
         wire.wait()
     assert read_header(wire.next(1)) == (ACK, 5, 1, 0, 0)
-    assert link.state is State.NEW
+    assert link.state is LinkPhase.NEW
 
 
 @pytest.mark.parametrize(
@@ -76,7 +84,7 @@ def test_a_stranger_is_refused(wire, said):
     wire.ends[1].send(message(HELLO, pack_order(said)))
     with pytest.raises(ProtocolError, match=r"^link left: HELLO came as .* wanted .* of this machine$") as caught:
         received(wire, link)
-    assert link.state is State.NEW
+    assert link.state is LinkPhase.NEW
     assert "'m'" not in str(caught.value)  # a stranger who knew that name could pass for a neighbour
     assert ("of another machine, " in str(caught.value)) == (said.get("machine") != "m")
 
@@ -206,14 +214,14 @@ def test_a_message_of_another_epoch_is_counted_and_dropped(wire):
     talk.until(lambda: bool(talk.heard[1]), "the new message")
     assert payloads(talk.heard[1]) == [b"new"]
     assert talk.links[1].stale == 6
-    assert talk.links[1].state is State.UP
+    assert talk.links[1].state is LinkPhase.UP
 
 
 def test_numbers_run_over_their_end(wire):
     talk = Talk(wire).up()
     for link in talk.links:
-        link._book[SENT] = link._book[RECEIVED] = 2**32 - 5
-        for place in (DATA_SENT, LINK_CREDIT, DATA_DONE, DATA_DONE_TOLD):
+        link._book[LINK_SENT] = link._book[LINK_RECEIVED] = 2**32 - 5
+        for place in (LINK_DATA_SENT, LINK_CREDIT, LINK_DATA_DONE, LINK_DATA_TOLD):
             link._book[place] = 2**32 - 50
     for number in range(200):
         for link in talk.links:

@@ -24,9 +24,9 @@ from support.links import (
 from support.messages import message
 
 from raygrid.node.errors import ProtocolError
-from raygrid.node.links.link import State
-from raygrid.node.links.memory_channel import MemoryPair, memory_pair
-from raygrid.node.links.zmq_channel import Pair
+from raygrid.node.links.link import LinkPhase
+from raygrid.node.links.memory_channel import MemoryChannel, memory_channels
+from raygrid.node.links.zmq_channel import ZmqChannel
 from raygrid.node.protocol.messages import HEAD, MAX_MESSAGE, WINDOW, MessageKind, read_order
 from raygrid.node.protocol.packets import SIZE
 
@@ -102,7 +102,7 @@ def test_a_channel_without_room_loses_nothing(wire, share):
 @pytest.mark.parametrize("room", [1, 2, 3])
 def test_a_small_room_in_memory_loses_nothing(room):
     with memory_wire() as wire:
-        wire.ends = memory_pair(room)
+        wire.ends = memory_channels(room)
         talk = Talk(wire)
         for number in range(100):
             for link in talk.links:
@@ -144,7 +144,7 @@ def test_bye_and_its_answer_close_both_ends(wire, script):
 def test_links_close_whatever_the_order(script, room, up):
     """0, 1: that end closes; a, b: a turn; x, y: that end sends data. Over queues with next to no room."""
     with memory_wire() as wire:
-        wire.ends = memory_pair(room)
+        wire.ends = memory_channels(room)
         talk = Talk(wire).up() if up else Talk(wire)
         for act in script:
             if act in "01":
@@ -163,8 +163,8 @@ def test_one_end_alone_does_not_close_a_link(wire):
     talk.links[0].close()
     talk.until(lambda: talk.links[1].peer_left, "BYE")
     talk.turn(0)
-    assert talk.links[0].state is State.CLOSING
-    assert talk.links[1].state is State.UP
+    assert talk.links[0].state is LinkPhase.CLOSING
+    assert talk.links[1].state is LinkPhase.UP
     talk.links[1].send_data(PACKETS, 1, b"late")  # who has not said BYE may still speak
     talk.until(lambda: bool(talk.heard[0]), "the late message")
     talk.links[1].close()
@@ -272,7 +272,7 @@ def test_the_largest_message_arrives(wire):
 
 def test_a_full_socket_says_so_and_blocks_not():
     context: zmq.Context = zmq.Context(io_threads=1)
-    pair = Pair(context, "inproc://nobody", bind=True)
+    pair = ZmqChannel(context, "inproc://nobody", bind=True)
     try:
         assert pair.send(b"x") is False
         assert pair.receive() is None
@@ -282,5 +282,5 @@ def test_a_full_socket_says_so_and_blocks_not():
 
 
 def test_both_kinds_of_end_are_channels():
-    for made in (MemoryPair, Pair):
+    for made in (MemoryChannel, ZmqChannel):
         assert all(callable(getattr(made, name)) for name in ("send", "receive", "close"))

@@ -12,7 +12,7 @@ from support.messages import message, orders, random_batch, same_batch, surfaces
 
 from raygrid.node.errors import ProtocolError
 from raygrid.node.geometry.surfaces import Batch, Kind
-from raygrid.node.protocol.codec import DEEPEST, MOST_ITEMS
+from raygrid.node.protocol.codec import DEEPEST, MOST_MAP_ITEMS
 from raygrid.node.protocol.messages import (
     HEAD,
     HEADER,
@@ -157,7 +157,7 @@ def test_packets_as_long_as_they_say_are_taken():
         (b"\x81\xa1x\xdd\xff\xff\xff\xff", "cannot be read"),  # a list of four thousand million things
         (b"\xdf\xff\xff\xff\xff", "cannot be read"),
         (b"\x81\xa1x\xc6\xff\xff\xff\xff", "cannot be read"),
-        (msgpack.packb({"x": [0] * (MOST_ITEMS + 1)}), "cannot be read"),
+        (msgpack.packb({"x": [0] * (MOST_MAP_ITEMS + 1)}), "cannot be read"),
         (b"\x81\xa1x" + b"\x91" * 900 + b"\x00", "deeper than"),
         (b"\x81\xa1x" + b"\x91" * 5000 + b"\x00", "cannot be read"),
         (b"\x81\xa1x" * 300_000 + b"\x00", "cannot be read"),

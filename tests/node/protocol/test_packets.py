@@ -13,12 +13,12 @@ from support.packets import pixel_bytes, ray_bytes, return_bytes, rewritten, row
 
 from raygrid.node.errors import PacketError
 from raygrid.node.protocol import packets
-from raygrid.node.protocol.packets import FAULTS, HALF_DIRECTION, SIZE, Limits, Packet, PacketKind
+from raygrid.node.protocol.packets import FAULTS, HALF_DIRECTION, SIZE, Packet, PacketKind, PacketLimits
 
 H = HALF_DIRECTION
 LAST = packets.LATTICE - 1
-EVERYTHING = Limits(packets.MAX_SAMPLES, packets.MAX_SAMPLES, packets.MAX_LIGHTS, 31, (65536, 65536, 65536))
-SMALL = Limits(samples=400, pixels=100, lights=2, depth=5, shape=(4, 3, 2))
+EVERYTHING = PacketLimits(packets.MAX_SAMPLES, packets.MAX_SAMPLES, packets.MAX_LIGHTS, 31, (65536, 65536, 65536))
+SMALL = PacketLimits(samples=400, pixels=100, lights=2, depth=5, shape=(4, 3, 2))
 
 ONES = 1024 | 1024 << 11 | 1024 << 22 | 64 << 33  # three weights of 1
 LARGEST = 2047 * 2.0**53

@@ -15,19 +15,19 @@ from raygrid.node.protocol.messages import HEAD
 from raygrid.node.protocol.packets import SIZE
 from raygrid.node.protocol.timestamps import (
     ASK,
-    LAST,
+    LAST_TICK,
     NO,
-    Enquiry,
-    pack_enquiry,
+    LookaheadRequest,
+    pack_lookahead,
     pack_stamped,
     prices_order,
-    read_enquiry,
+    read_lookahead,
     read_prices,
     read_stamped,
 )
 
 HEADER = bytes(HEAD)
-ticks = st.integers(0, LAST)
+ticks = st.integers(0, LAST_TICK)
 
 
 def stamped(times, promise=9, frame=1, packets=None):
@@ -39,11 +39,11 @@ def test_golden_bytes():
     assert stamped([3, 5], 0x0201, 7)[HEAD : HEAD + 28].hex() == (
         "07000000" "0102000000000000" "0300000000000000" "0500000000000000"
     )  # fmt: skip
-    enquiry = Enquiry(7, NO, (1, 2, 0x304), 5, 6, 8)
-    assert pack_enquiry(enquiry).hex() == "070000000201000200040305000000" + "0600000000000000" + "08" + "00" * 7
+    enquiry = LookaheadRequest(7, NO, (1, 2, 0x304), 5, 6, 8)
+    assert pack_lookahead(enquiry).hex() == "070000000201000200040305000000" + "0600000000000000" + "08" + "00" * 7
 
 
-@given(st.lists(st.integers(0, LAST - 1), min_size=1, max_size=20), ticks)
+@given(st.lists(st.integers(0, LAST_TICK - 1), min_size=1, max_size=20), ticks)
 def test_ticks_and_packets_come_out_as_they_went_in(times, promise):
     times.sort()
     packets = bytes(k % 251 for k in range(SIZE * len(times)))
@@ -55,8 +55,8 @@ def test_ticks_and_packets_come_out_as_they_went_in(times, promise):
 
 @given(st.integers(ASK, NO), st.tuples(*[st.integers(0, 65535)] * 3), st.integers(0, 2**32 - 1), ticks, ticks)
 def test_enquiries_come_out_as_they_went_in(answer, origin, number, tick, promise):
-    enquiry = Enquiry(2, answer, origin, number, tick, promise)
-    assert read_enquiry(HEADER + pack_enquiry(enquiry)) == enquiry
+    enquiry = LookaheadRequest(2, answer, origin, number, tick, promise)
+    assert read_lookahead(HEADER + pack_lookahead(enquiry)) == enquiry
 
 
 @pytest.mark.parametrize(
@@ -67,9 +67,9 @@ def test_enquiries_come_out_as_they_went_in(answer, origin, number, tick, promis
         (stamped([]), 0),
         (stamped([2, 1]), 2),
         (stamped([-1]), 1),
-        (stamped([LAST]), 1),
+        (stamped([LAST_TICK]), 1),
         (stamped([1], promise=-1), 1),
-        (stamped([1], promise=LAST + 1), 1),
+        (stamped([1], promise=LAST_TICK + 1), 1),
         (HEADER, 0),
     ],
 )
@@ -81,19 +81,19 @@ def test_bad_stamps_are_refused(message, count):
 @pytest.mark.parametrize("payload", [b"", bytes(30), bytes(32)])
 def test_enquiries_of_a_wrong_length_are_refused(payload):
     with pytest.raises(ProtocolError, match="an enquiry came with"):
-        read_enquiry(HEADER + payload)
+        read_lookahead(HEADER + payload)
 
 
-@pytest.mark.parametrize("change", [{"answer": 3}, {"tick": -1}, {"promise": LAST + 1}])
+@pytest.mark.parametrize("change", [{"answer": 3}, {"tick": -1}, {"promise": LAST_TICK + 1}])
 def test_bad_enquiries_are_refused(change):
-    enquiry = Enquiry(1, ASK, (0, 0, 0), 1, 1, 1)._replace(**change)
+    enquiry = LookaheadRequest(1, ASK, (0, 0, 0), 1, 1, 1)._replace(**change)
     with pytest.raises(ProtocolError, match="an enquiry came with answer"):
-        read_enquiry(HEADER + pack_enquiry(enquiry))
+        read_lookahead(HEADER + pack_lookahead(enquiry))
 
 
 @given(st.binary(max_size=200), st.integers(0, 5))
 def test_any_bytes_are_a_message_or_a_protocol_error(payload, count):
-    for read in (lambda: read_stamped(HEADER + payload, count), lambda: read_enquiry(HEADER + payload)):
+    for read in (lambda: read_stamped(HEADER + payload, count), lambda: read_lookahead(HEADER + payload)):
         with contextlib.suppress(ProtocolError):
             read()
 

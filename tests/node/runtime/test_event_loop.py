@@ -29,22 +29,22 @@ from raygrid.node.geometry.lattice import HALF
 from raygrid.node.links import zmq_c_api
 from raygrid.node.links.link import (
     CREDIT,
-    DATA_DONE,
-    DATA_DONE_TOLD,
-    DATA_SENT,
-    RECEIVED,
+    LINK_DATA_DONE,
+    LINK_DATA_SENT,
+    LINK_DATA_TOLD,
+    LINK_RECEIVED,
+    LINK_SENT,
     REGULAR,
-    SENT,
     SOCKET,
     Link,
-    State,
+    LinkPhase,
 )
-from raygrid.node.links.memory_channel import memory_pair
-from raygrid.node.links.zmq_channel import Pair
+from raygrid.node.links.memory_channel import memory_channels
+from raygrid.node.links.zmq_channel import ZmqChannel
 from raygrid.node.main import open_links
 from raygrid.node.protocol.messages import HEAD, WINDOW, MessageKind, check_packets
 from raygrid.node.protocol.packets import REFLECTED, SIZE
-from raygrid.node.runtime.native_link_table import Wired
+from raygrid.node.runtime.native_link_table import NativeLinkTable
 from raygrid.node.runtime.processor import Processor
 
 MASK = 0xFFFFFFFF  # of numbers in headers
@@ -70,23 +70,26 @@ class Bed:
     """The node at 0,0,0 in the middle of a frame, and the link end of its neighbour, which a test speaks for."""
 
     def __init__(self, context: zmq.Context[Any], place: str, wired: bool, batch: int = 64) -> None:
-        self.pair, self.other = Pair(context, f"ipc://{place}", True), Pair(context, f"ipc://{place}", False)
+        self.pair, self.other = (
+            ZmqChannel(context, f"ipc://{place}", True),
+            ZmqChannel(context, f"ipc://{place}", False),
+        )
         low, high = ({"index": index, "machine": "m", "epoch": 3} for index in ([0, 0, 0], [1, 0, 0]))
-        links = open_links(low, {UPWARDS: self.pair, HOST: memory_pair()[0]})
+        links = open_links(low, {UPWARDS: self.pair, HOST: memory_channels()[0]})
         self.node = Processor((0, 0, 0), SHAPE, links, batch)
         self.link = links[UPWARDS]
         (self.peer,) = open_links(high, {UPWARDS ^ 1: self.other}).values()
         self._poller = zmq.Poller()
         self._poller.register(self.pair.socket, zmq.POLLIN)
         self._poller.register(self.other.socket, zmq.POLLIN)
-        self.until(lambda: self.link.state is State.UP is self.peer.state)
+        self.until(lambda: self.link.state is LinkPhase.UP is self.peer.state)
         self.node.tracer.set_space(space_of(NAME, EVEN_STEP))
         for batch_of_kind in scene().surfaces:
             self.node.tracer.retain(batch_of_kind, batch_of_kind.bounds())
         self.node.tracer.build()
         self.node.tracer.set_frame(scene().frame)
         if wired:
-            self.node.wire(Wired(links, {UPWARDS: self.pair}, self.node.tallies.tally))
+            self.node.wire(NativeLinkTable(links, {UPWARDS: self.pair}, self.node.tallies.tally))
 
     def until(self, done: Any) -> None:
         """Let both ends take in what comes until something holds."""
@@ -195,8 +198,8 @@ def outcome(bed: Bed, raw: list[bytes], taken: int | None = None) -> dict[str, A
     """What becomes of a node to which these messages come."""
     for one in raw:
         assert bed.other.send(one)
-        bed.peer._book[SENT] += 1
-        bed.peer._book[DATA_SENT] += 1
+        bed.peer._book[LINK_SENT] += 1
+        bed.peer._book[LINK_DATA_SENT] += 1
     said = ""
     try:
         bed.work(len(raw) if taken is None else taken)
@@ -225,7 +228,7 @@ def test_packets_have_the_same_consequences(beds):
     outcomes = [outcome(bed, messages(bed.peer, groups)) for bed in (plain, wired)]
     assert outcomes[0] == outcomes[1]
     assert outcomes[1]["received"][2] == len(groups)
-    assert wired.node.tracer.wires.books[UPWARDS, DATA_DONE] == len(groups)
+    assert wired.node.tracer.wires.books[UPWARDS, LINK_DATA_DONE] == len(groups)
     sent = [bed.answers() for bed in (plain, wired)]
     assert sent[0] == sent[1]
     assert len(sent[1]) > 20
@@ -244,7 +247,7 @@ def test_compiled_code_serves_the_link_and_python_does_not(beds, monkeypatch):
 def test_a_link_without_a_socket_of_its_own_is_left_to_python(beds):
     plain, _ = beds()
     plain.link.channel = type("Between", (), {"send": plain.pair.send, "receive": plain.pair.receive})()
-    plain.node.wire(Wired(plain.node.links, {UPWARDS: plain.pair}, plain.node.tallies.tally))
+    plain.node.wire(NativeLinkTable(plain.node.links, {UPWARDS: plain.pair}, plain.node.tallies.tally))
     assert not plain.node.serves_itself(UPWARDS)
     assert outcome(plain, messages(plain.peer, [some_packets(50)]))["received"][2] == 1
 
@@ -341,8 +344,8 @@ def test_numbers_run_over_their_end(beds):
     for bed in beds():
         bed.work(0)
         for link in (bed.link, bed.peer):
-            link._book[SENT] = link._book[RECEIVED] = 2**32 - 5
-            for place in (DATA_SENT, CREDIT, DATA_DONE, DATA_DONE_TOLD):
+            link._book[LINK_SENT] = link._book[LINK_RECEIVED] = 2**32 - 5
+            for place in (LINK_DATA_SENT, CREDIT, LINK_DATA_DONE, LINK_DATA_TOLD):
                 link._book[place] = 2**32 - 9
         outcomes.append(outcome(bed, messages(bed.peer, [some_packets(3, k) for k in range(40)])))
         assert len(bed.answers()) > 20
@@ -371,7 +374,7 @@ def test_credit_is_told_and_bounds_what_is_sent(beds):
     else:
         pytest.fail("what waits for credit is never sent")
     assert wired.link.data_sent > 2 * WINDOW
-    assert wired.peer._book[RECEIVED] == wired.link.sent
+    assert wired.peer._book[LINK_RECEIVED] == wired.link.sent
 
 
 @given(payload=st.binary(max_size=3000), numbers=st.tuples(*[st.integers(0, 2**32 - 1)] * 3))
@@ -380,7 +383,7 @@ def test_checksums_are_those_of_messages(payload, numbers):
     calls = zmq_c_api.find_functions()
     raw = np.frombuffer(message(3, payload, *numbers), np.uint8)
     digest = ctypes.CFUNCTYPE(ctypes.c_uint64, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_uint64)(
-        int(calls[zmq_c_api.CHECKSUM])
+        int(calls[zmq_c_api.HASH])
     )
     seed = digest(raw.ctypes.data, 16, 0)
     assert digest(raw.ctypes.data + HEAD, len(raw) - HEAD, seed) & 0xFFFFFFFF == int.from_bytes(

@@ -17,15 +17,15 @@ from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.emulator.driver.samples import read_sample
 from raygrid.host.probes.chrome_trace import MOST_NODES, ChromeTrace
 from raygrid.host.probes.probing import Probing
-from raygrid.host.probes.record import Record, replay
+from raygrid.host.probes.record import ProbeRecord, replay
 from raygrid.host.probes.sums import Gauges
 from raygrid.host.render.frame import render_job
 from raygrid.host.render.job import Settings, make_job
 from raygrid.host.scene.load import load_scene
 from raygrid.node.errors import OutputError, ProtocolError
-from raygrid.node.links.control_channel import Line
+from raygrid.node.links.control_channel import ControlChannel
 from raygrid.node.protocol.codec import pack_map, read_map
-from raygrid.node.runtime.probe import NEVER, Probe, memory, read_rate, sample
+from raygrid.node.runtime.probe import NEVER_DUE, NodeProbe, memory, read_rate, sample
 from raygrid.node.runtime.processor import Processor
 from raygrid.node.tracing.work_queues import CLASSES
 
@@ -78,7 +78,7 @@ def busy():
     def look(processor):
         before = states([processor])
         speaker = Speaker()
-        probe = Probe(speaker, clock=lambda: 12.5)
+        probe = NodeProbe(speaker, clock=lambda: 12.5)
         probe.set_rate(1.0)
         probe.maybe_speak(processor, 3)
         (words,) = speaker.said
@@ -137,7 +137,7 @@ def test_a_sample_says_what_the_node_has(busy):
 def test_a_node_speaks_at_its_rate_and_does_not_make_up_for_what_it_missed():
     now, speaker = 0.0, Speaker()
     (processor,) = MemoryArray((1, 1, 1)).processors
-    probe = Probe(speaker, clock=lambda: now)
+    probe = NodeProbe(speaker, clock=lambda: now)
     assert not probe.wanted
     assert probe.patience(None) is None
     assert probe.patience(0.5) == 0.5
@@ -153,16 +153,16 @@ def test_a_node_speaks_at_its_rate_and_does_not_make_up_for_what_it_missed():
     assert [words["number"] for words in speaker.said] == list(range(6))
     assert probe.patience(3.0) == pytest.approx(0.1, abs=0.02)
     probe.set_rate(0.0)
-    assert probe.due == NEVER
+    assert probe.due == NEVER_DUE
     assert not probe.wanted
 
 
 def test_where_nobody_reads_samples_are_dropped_and_counted():
     node, host = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    mine, theirs = Line(node.detach()), Line(host.detach())
+    mine, theirs = ControlChannel(node.detach()), ControlChannel(host.detach())
     (processor,) = MemoryArray((1, 1, 1)).processors
     now = 0.0
-    probe = Probe(mine, clock=lambda: now)
+    probe = NodeProbe(mine, clock=lambda: now)
     probe.set_rate(1.0)
     said = 0
     while mine.dropped < 5:
@@ -289,7 +289,7 @@ def test_a_recording_comes_back_as_it_was(tmp_path, busy):
 )
 def test_a_recording_that_is_none(tmp_path, spoil, match):
     path = tmp_path / "r.jsonl"
-    record = Record(str(path), (1, 1, 1), 10.0)
+    record = ProbeRecord(str(path), (1, 1, 1), 10.0)
     record.take(Gauges((1, 1, 1)).take(made()))
     record.close()
     path.write_text("\n".join(spoil(path.read_text().splitlines())))
@@ -301,9 +301,9 @@ def test_a_recording_that_cannot_be_read_or_written(tmp_path):
     with pytest.raises(OutputError, match="cannot be read"):
         replay(str(tmp_path / "none"))
     with pytest.raises(OutputError, match="there is no directory"):
-        Record(str(tmp_path / "no" / "r"), (1, 1, 1), 10.0)
+        ProbeRecord(str(tmp_path / "no" / "r"), (1, 1, 1), 10.0)
     with pytest.raises(OutputError, match="/dev/full: the file cannot be written"):
-        Record("/dev/full", (1, 1, 1), 10.0)
+        ProbeRecord("/dev/full", (1, 1, 1), 10.0)
 
 
 def test_a_disk_that_fills_up_loses_the_recording_and_no_more(tmp_path, monkeypatch):

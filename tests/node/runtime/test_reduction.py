@@ -1,4 +1,4 @@
-"""Tallies: their bytes, and that compiled code takes care of them as Python does, over real sockets."""
+"""Reductions: their bytes, and that compiled code takes care of them as Python does, over real sockets."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ from support.space import EVEN_STEP
 
 from raygrid.node.errors import ProtocolError
 from raygrid.node.links import zmq_c_api
-from raygrid.node.links.link import Link, State
-from raygrid.node.links.zmq_channel import Pair
+from raygrid.node.links.link import Link, LinkPhase
+from raygrid.node.links.zmq_channel import ZmqChannel
 from raygrid.node.main import open_links
 from raygrid.node.protocol.counters import BORN
 from raygrid.node.protocol.messages import HEAD, MessageKind
 from raygrid.node.protocol.packets import PRIMARY
 from raygrid.node.runtime import reduction, reduction_replies
-from raygrid.node.runtime.event_loop import FLUSH, LEAST, NAP, NAPS
-from raygrid.node.runtime.native_link_table import Wired
+from raygrid.node.runtime.event_loop import BACK_OFFS, TUNE_BACK_OFF, TUNE_FLUSH, TUNE_LEAST
+from raygrid.node.runtime.native_link_table import NativeLinkTable
 from raygrid.node.runtime.processor import Processor
 from raygrid.node.runtime.reduction import (
+    MOST_BACK_OFF,
     MOST_HOLD,
-    MOST_NAP,
     MOST_PACKETS,
     MOST_QUOTA,
-    ORDER,
+    REQUEST_FIELDS,
     SUMS,
-    pack_tally,
-    read_tally,
+    pack_request,
+    read_request,
 )
-from raygrid.node.runtime.reduction_replies import Tallies
+from raygrid.node.runtime.reduction_replies import Reductions
 
 NAME, SHAPE = "3x1x1", (3, 1, 1)
 LOW, HIGH = 0, 1  # ports of the node in the middle: to its parent, and to its only child
@@ -59,7 +59,7 @@ orders = st.tuples(
     st.integers(0, MOST_QUOTA),
     st.integers(0, MOST_HOLD),
     st.integers(0, MOST_PACKETS),
-    st.integers(0, MOST_NAP),
+    st.integers(0, MOST_BACK_OFF),
     st.integers(1, MOST_PACKETS),
 ).map(list)
 
@@ -71,22 +71,22 @@ def tally_bytes(fields: list[int]) -> bytes:
 
 def test_the_order_to_trace_is_these_numbers():
     order = {"do": "trace", "quota": 7, "hold": 0.028, "gather": 300, "linger": 0.0008, "flush": 4096}
-    payload = pack_tally(5, order)
+    payload = pack_request(5, order)
     assert payload == tally_bytes([5, 7, 28_000_000, 300, 800, 4096])
-    assert read_tally(message(MessageKind.TALLY, payload)) == [5, 7, 28_000_000, 300, 800, 4096]
+    assert read_request(message(MessageKind.TALLY, payload)) == [5, 7, 28_000_000, 300, 800, 4096]
 
 
 @given(fields=orders)
 @steady(100)
 def test_what_is_in_range_is_read_as_it_was_written(fields):
-    assert read_tally(message(MessageKind.TALLY, tally_bytes(fields))) == fields
+    assert read_request(message(MessageKind.TALLY, tally_bytes(fields))) == fields
 
 
 BAD = {
     "quota": [(1, -1), (1, 2**32)],
     "hold": [(2, -1), (2, MOST_HOLD + 1)],
     "gather": [(3, -1), (3, 2**40)],
-    "nap": [(4, -1), (4, MOST_NAP + 1)],
+    "nap": [(4, -1), (4, MOST_BACK_OFF + 1)],
     "flush": [(5, 0), (5, -(2**63))],
 }
 
@@ -96,15 +96,15 @@ def test_what_is_out_of_range_is_refused(place, value):
     fields = [1, 2, 3, 4, 5, 6]
     fields[place] = value
     with pytest.raises(ProtocolError, match="wanted number, quota, hold, gather, nap and flush in range"):
-        read_tally(message(MessageKind.TALLY, tally_bytes(fields)))
+        read_request(message(MessageKind.TALLY, tally_bytes(fields)))
 
 
 @pytest.mark.parametrize("size", [0, 40, 47, 49, 56])
 def test_another_length_is_refused(size):
     with pytest.raises(ProtocolError, match=f"came with {size} bytes, wanted"):
-        read_tally(message(MessageKind.TALLY, bytes(size)))
+        read_request(message(MessageKind.TALLY, bytes(size)))
     with pytest.raises(ProtocolError, match=f"came with {size} bytes, wanted"):
-        reduction.read_tallied(message(MessageKind.TALLIED, bytes(size)))
+        reduction.read_reply(message(MessageKind.TALLIED, bytes(size)))
 
 
 @pytest.mark.parametrize(
@@ -112,7 +112,7 @@ def test_another_length_is_refused(size):
     [{"quota": None}, {"quota": -1}, {"quota": 1.0}, {"gather": 1.5}, {"linger": 2.0}, {"hold": "x"}, {"flush": 0}],
 )
 def test_an_order_that_is_none_is_no_tally(odd):
-    assert pack_tally(1, {"do": "trace", "quota": 5, "flush": 9, **odd}) is None
+    assert pack_request(1, {"do": "trace", "quota": 5, "flush": 9, **odd}) is None
 
 
 # --- a node between its parent and its child -----------------------------------------------------------
@@ -129,10 +129,10 @@ class Middle:
     """The node at 1,0,0 in the middle of a frame, and the link ends of both neighbours, for which a test speaks."""
 
     def __init__(self, context: zmq.Context[Any], place: str, wired: bool) -> None:
-        self.pairs = {port: Pair(context, f"ipc://{place}-{port}", True) for port in PEERS}
-        self.others = {port: Pair(context, f"ipc://{place}-{port}", False) for port in PEERS}
+        self.pairs = {port: ZmqChannel(context, f"ipc://{place}-{port}", True) for port in PEERS}
+        self.others = {port: ZmqChannel(context, f"ipc://{place}-{port}", False) for port in PEERS}
         self.node: Processor
-        self._wired: Wired | None = None
+        self._wired: NativeLinkTable | None = None
         links = open_links({"index": [1, 0, 0], "machine": "m", "epoch": 3}, dict(self.pairs))
         self.peers: dict[int, Link] = {}
         for port, index in PEERS.items():
@@ -144,7 +144,7 @@ class Middle:
             self._poller.register(pair.socket, zmq.POLLIN)
         for _ in range(TURNS):
             every = [*links.values(), *self.peers.values()]
-            if all(link.state is State.UP for link in every):
+            if all(link.state is LinkPhase.UP for link in every):
                 break
             self._poller.poll(50)
             for link in every:
@@ -156,7 +156,7 @@ class Middle:
         self.node.tracer.build()
         self.node.tracer.set_frame(scene().frame)
         if wired:
-            self._wired = Wired(links, self.pairs, self.node.tallies.tally)
+            self._wired = NativeLinkTable(links, self.pairs, self.node.tallies.tally)
             self.node.wire(self._wired)
 
     def say(self, port: int, kind: MessageKind, payload: bytes) -> None:
@@ -227,7 +227,7 @@ def answered(heard: list[tuple[int, MessageKind, bytes]]) -> bool:
 
 def child_answer(number: int, seed: int = 0) -> bytes:
     """What a child might say."""
-    return reduction.pack_tallied(number, np.random.default_rng(seed).integers(0, 2**40, SUMS))
+    return reduction.pack_reply(number, np.random.default_rng(seed).integers(0, 2**40, SUMS))
 
 
 @pytest.mark.skipif(zmq_c_api.find_functions() is None, reason="no functions to call")
@@ -238,12 +238,12 @@ def test_both_answer_the_same_after_the_same_work(make):
         told = middle.until(lambda heard: len(heard) == 1)
         middle.say(HIGH, MessageKind.TALLIED, child_answer(4))
         (answer,) = middle.until(answered)
-        number, sums = reduction.read_tallied(message(MessageKind.TALLIED, answer[2]))
+        number, sums = reduction.read_reply(message(MessageKind.TALLIED, answer[2]))
         # of its own it counts what it did; messages are a matter of time
         own = sums - np.random.default_rng(0).integers(0, 2**40, SUMS)
         assert own[: reduction.COUNTS].tolist() == middle.node.tracer.counts.tolist()
-        assert own[reduction.DATA_SENT] == sum(link.data_sent for link in middle.node.links.values())
-        own[reduction.DATA_SENT] = 0
+        assert own[reduction.SUM_DATA_SENT] == sum(link.data_sent for link in middle.node.links.values())
+        own[reduction.SUM_DATA_SENT] = 0
         found.append((told, answer[:2], number, own.tolist()))
     assert found[0] == found[1]
     told, answer, number, own = found[1]
@@ -257,7 +257,7 @@ def test_both_answer_the_same_after_the_same_work(make):
 def test_compiled_code_does_it_and_python_does_not(make, monkeypatch):
     middle = make(True)
     monkeypatch.setattr(reduction_replies, "pack_tallied", lambda *rest: pytest.fail("Python answered"))
-    monkeypatch.setattr(Tallies, "tell_children", lambda self: pytest.fail("Python told"))
+    monkeypatch.setattr(Reductions, "tell_children", lambda self: pytest.fail("Python told"))
     monkeypatch.setattr(Processor, "receive", lambda self, port: pytest.fail("Python received"))
     monkeypatch.setattr(Processor, "serves_itself", lambda self, port: True)
     middle.say(LOW, MessageKind.TALLY, tally_bytes([9, 50, LONG, 300, 800, 17]))
@@ -265,7 +265,7 @@ def test_compiled_code_does_it_and_python_does_not(make, monkeypatch):
     middle.say(HIGH, MessageKind.TALLIED, child_answer(9))
     middle.until(answered)
     pace = middle.node.tracer.pace
-    assert (pace[LEAST], pace[NAP], pace[FLUSH]) == (300, 800 // NAPS, 17)
+    assert (pace[TUNE_LEAST], pace[TUNE_BACK_OFF], pace[TUNE_FLUSH]) == (300, 800 // BACK_OFFS, 17)
 
 
 def spoil(fields: list[int], place: int, value: int) -> bytes:
@@ -319,10 +319,10 @@ def test_it_is_answered_when_all_is_done(make):
         middle.peers[LOW].send_data(MessageKind.PACKETS, len(packets), b"".join(packets))
         middle.say(LOW, MessageKind.TALLY, tally_bytes([4, 20_000, LONG, 0, 0, 64]))
         middle.until(lambda heard: len(heard) == 1)
-        middle.say(HIGH, MessageKind.TALLIED, reduction.pack_tallied(4, np.zeros(SUMS, np.int64)))
+        middle.say(HIGH, MessageKind.TALLIED, reduction.pack_reply(4, np.zeros(SUMS, np.int64)))
         (answer,) = middle.until(answered)
-        _, sums = reduction.read_tallied(message(MessageKind.TALLIED, answer[2]))
-        assert (sums[reduction.WAITING], sums[reduction.HOMES_LEFT]) == (0, 0)
+        _, sums = reduction.read_reply(message(MessageKind.TALLIED, answer[2]))
+        assert (sums[reduction.SUM_WAITING], sums[reduction.HOMES_LEFT]) == (0, 0)
 
 
 @pytest.mark.parametrize("wired", [False, True])
@@ -336,7 +336,7 @@ def test_a_node_that_is_never_idle_answers_at_the_deadline_and_not_before(make, 
         middle.until(lambda heard: any(kind is MessageKind.TALLY for _, kind, _ in heard))
         middle.say(HIGH, MessageKind.TALLIED, child_answer(number))
         if hold:
-            middle.until(lambda heard: state[reduction.HEARD] == state[reduction.CHILDREN])
+            middle.until(lambda heard: state[reduction.REPLIED] == state[reduction.CHILD_PORTS])
             for _ in range(20):
                 middle.node.work()
             assert state[reduction.PENDING]
@@ -352,7 +352,7 @@ def test_before_a_frame_it_is_refused(make):
     assert list(middle.node.refused) == ["node (1, 0, 0): the order 'trace' came before a frame"]
 
 
-@given(fields=orders, wrong=st.integers(0, ORDER * 8 + HEAD - 1), value=st.integers(0, 255))
+@given(fields=orders, wrong=st.integers(0, REQUEST_FIELDS * 8 + HEAD - 1), value=st.integers(0, 255))
 @steady(15)
 def test_any_tally_has_the_same_consequences(fields, wrong, value):
     """Sound ones and spoilt ones, with their own checksums."""
@@ -374,6 +374,6 @@ def test_any_tally_has_the_same_consequences(fields, wrong, value):
                 middle.until(lambda heard, m=middle, t=taken: m.node.links[LOW].received + m.node.links[LOW].stale > t)
             except ProtocolError as error:
                 said = str(error)
-            pending = [int(state[place]) for place in (reduction.PENDING, reduction.CURRENT, reduction.HEARD)]
+            pending = [int(state[place]) for place in (reduction.PENDING, reduction.CURRENT, reduction.REPLIED)]
             outcomes.append((said, pending, middle.node.tallies.tally.order.tolist(), middle.node.links[LOW].stale))
     assert outcomes[0] == outcomes[1]

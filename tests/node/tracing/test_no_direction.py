@@ -15,7 +15,7 @@ from raygrid.node.protocol.packets import SIZE, octahedral, pack_weight, put_ray
 from raygrid.node.tracing.camera import eye_ray
 from raygrid.node.tracing.local_geometry import cone_table
 from raygrid.node.tracing.shading import refract, unit
-from raygrid.node.tracing.spawn import RAY_BROOD, make_newborn, note, origin_beside, put, work_out
+from raygrid.node.tracing.spawn import RAY_BATCH, make_spawn_batch, note, origin_beside, put, work_out
 
 SHORT = [(0.0, 0.0, 0.0), (-0.0, 0.0, -0.0), (5e-324, 0.0, 0.0), (0.0, -1e-200, 1e-310), (1e-160, 1e-160, 1e-160)]
 
@@ -45,9 +45,9 @@ def test_what_is_seen_head_on_goes_straight_on_whatever_the_index(ratio):
 
 @kernel
 def born(newborn, cell, space, g, d, rows, one):
-    note(newborn, RAY_BROOD, 2 | (1 << 3) | (5 << 8), 0, (0.1, 0.2, 0.3), g, d, (0.5, 0.5, 0.5))
-    work_out(cell, space, newborn, RAY_BROOD)
-    put(newborn, RAY_BROOD, 0, rows, 0)
+    note(newborn, RAY_BATCH, 2 | (1 << 3) | (5 << 8), 0, (0.1, 0.2, 0.3), g, d, (0.5, 0.5, 0.5))
+    work_out(cell, space, newborn, RAY_BATCH)
+    put(newborn, RAY_BATCH, 0, rows, 0)
     put_ray(one, 0, 2, 1, 5, origin_beside(space.step, (0.1, 0.2, 0.3), g, d), octahedral(d[0], d[1], d[2]),
             pack_weight(0.5, 0.5, 0.5))  # fmt: skip
 
@@ -56,7 +56,7 @@ def born(newborn, cell, space, g, d, rows, one):
 def test_a_ray_without_a_direction_has_the_same_direction_eight_at_once(vector):
     space = even_space((1, 1, 1), (1.0 / (1 << 23),) * 3)
     eight, one = np.zeros(SIZE, np.uint8), np.zeros(SIZE, np.uint8)
-    born(make_newborn(), make_cell(space, (0, 0, 0)), space, (0.0, 0.0, 1.0), vector, eight, one)
+    born(make_spawn_batch(), make_cell(space, (0, 0, 0)), space, (0.0, 0.0, 1.0), vector, eight, one)
     assert eight[14:].tobytes() == one[14:].tobytes()  # direction and weight
 
 

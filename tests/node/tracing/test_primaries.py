@@ -16,8 +16,8 @@ from raygrid.node.protocol.counters import BORN, COUNTS
 from raygrid.node.protocol.frame_tables import Frame
 from raygrid.node.tracing.camera import TRIES
 from raygrid.node.tracing.framebuffer import Pixels, make_pixels, slot
-from raygrid.node.tracing.primaries import DONE, bear_primaries, new_cursor
-from raygrid.node.tracing.primary_rays import make_seen
+from raygrid.node.tracing.primaries import DONE, new_cursor, spawn_primaries
+from raygrid.node.tracing.primary_rays import make_primary_batch
 
 WHITE = packets.pack_weight(1.0, 1.0, 1.0)
 SPACES = {
@@ -35,7 +35,7 @@ def born(frame: Frame, space: Space, index: Index, room: int = 10_000) -> tuple[
     cursor, counts, found = new_cursor(len(pixels.first) > 0), np.zeros(COUNTS, np.int64), []
     buffer = np.zeros((room + 3) * packets.SIZE, np.uint8)
     while cursor[DONE] == 0:
-        made = bear_primaries(cell, space, frame, pixels, cursor, buffer, 2, room, make_seen(), counts)
+        made = spawn_primaries(cell, space, frame, pixels, cursor, buffer, 2, room, make_primary_batch(), counts)
         assert made <= room
         assert made == room or cursor[DONE] == 1
         data = buffer.tobytes()

@@ -12,10 +12,10 @@ from raygrid.node.protocol.packets import PRIMARY, SIZE, octahedral, pack_weight
 from raygrid.node.tracing.camera import entry, eye_ray, image_point, primary_origin
 from raygrid.node.tracing.primary_rays import (
     EIGHT,
-    LOT,
+    PRIMARY_ROOM,
     entered_at,
     is_at_home,
-    make_seen,
+    make_primary_batch,
     note_primary,
     note_return,
     noted_return,
@@ -61,7 +61,7 @@ def _ray(frame, sample):
 @settings(deadline=None)
 def test_primaries(frame, numbers, cell):
     """Those at home in this cell, and no others; their packets."""
-    seen = make_seen()
+    seen = make_primary_batch()
     for sample in numbers:
         note_primary(seen, *image_point(sample, frame.width, frame.samples), sample, 0)
     work_out_primaries(cell, SPACE, frame, seen)
@@ -79,7 +79,7 @@ def test_primaries(frame, numbers, cell):
 @settings(deadline=None)
 def test_returns(frame, numbers, intensity, depth):
     """Where their samples' rays enter, and what was noted."""
-    seen = make_seen()
+    seen = make_primary_batch()
     for sample in numbers:
         note_return(seen, frame, sample, depth, tuple(map(np.float32, intensity)))
     work_out_returns(SPACE, frame, seen)
@@ -92,9 +92,11 @@ def test_returns(frame, numbers, intensity, depth):
 
 def test_a_full_lot_says_so():
     """Where there is room for no more, and only there."""
-    seen, frame = make_seen(), one_frame()
-    assert [note_return(seen, frame, 0, 1, (np.float32(1.0),) * 3) for _ in range(LOT)] == [False] * (LOT - 1) + [True]
-    assert LOT % EIGHT == 0
+    seen, frame = make_primary_batch(), one_frame()
+    assert [note_return(seen, frame, 0, 1, (np.float32(1.0),) * 3) for _ in range(PRIMARY_ROOM)] == [False] * (
+        PRIMARY_ROOM - 1
+    ) + [True]
+    assert PRIMARY_ROOM % EIGHT == 0
 
 
 @given(
@@ -106,7 +108,7 @@ def test_a_full_lot_says_so():
 def test_points_of_returns_in_large_pictures(width, number, samples):
     """Every quotient is right up to the largest sample number."""
     frame = one_frame()._replace(width=width, height=1 << 16, samples=number)
-    seen = make_seen()
+    seen = make_primary_batch()
     for sample in samples:
         note_return(seen, frame, sample, 1, (np.float32(1.0),) * 3)
     work_out_returns(SPACE, frame, seen)
@@ -117,12 +119,12 @@ def test_points_of_returns_in_large_pictures(width, number, samples):
         assert not enters or entered_at(seen, k) == point
 
 
-@pytest.mark.parametrize("many", [1, EIGHT, LOT - 1, LOT])
+@pytest.mark.parametrize("many", [1, EIGHT, PRIMARY_ROOM - 1, PRIMARY_ROOM])
 def test_any_number_of_samples(many):
     """What is left in other columns does not matter."""
     camera = np.array([(0.0, 0.0, -1.0), *2 * [(0.0, 0.0, 0.0)], (-0.2, -0.2, 1.0), (0.01, 0.0, 0.0), (0.0, 0.01, 0.0)])
     frame = one_frame()._replace(camera=camera, width=WIDTH, height=HEIGHT, samples=1)
-    seen = make_seen()
+    seen = make_primary_batch()
     for sample in range(many):
         note_return(seen, frame, sample, 1, (np.float32(1.0),) * 3)
     work_out_returns(SPACE, frame, seen)

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from node.tracing.test_ray_setup import CELLS, SPACE, _frame, codes, coordinates, places, ports
 
-from raygrid.node.geometry.bvh import NOWHERE, WORDS
-from raygrid.node.geometry.bvh_simd import CHILDREN, WIDE
+from raygrid.node.geometry.bvh import EMPTY_BOUND, NODE_WORDS
+from raygrid.node.geometry.bvh_simd import CHILD_COLUMN, WIDE
 from raygrid.node.geometry.grid_walk import NO_PORT, leaves_array, towards_cell
 from raygrid.node.geometry.lattice import LATTICE, T_MIN
 from raygrid.node.protocol.counters import COUNTS
@@ -16,8 +16,17 @@ from raygrid.node.protocol.packets import PRIMARY, SIZE, put_ray, put_shadow
 from raygrid.node.tracing import ray_classify
 from raygrid.node.tracing.local_geometry import empty_surfaces
 from raygrid.node.tracing.output_queues import clear, hand_on, hand_on_all, make_outputs
-from raygrid.node.tracing.ray_classify import ENDING, PASSING, SEARCHED, box_of_all, ends_of_array, sift, unfinished
-from raygrid.node.tracing.ray_setup import AHEAD, ASTRAY, ROOM, boxes_of, column, make_ahead, read_ahead, set_up_ahead
+from raygrid.node.tracing.ray_classify import ENDING, PASSING, SEARCHED, box_of_all, classify, ends_of_array, unfinished
+from raygrid.node.tracing.ray_setup import (
+    NOT_AT_START,
+    SETUP_RAYS,
+    SETUP_ROOM,
+    boxes_of,
+    column,
+    make_ray_setup,
+    read_prepared,
+    set_up_rays,
+)
 from raygrid.node.tracing.traverse import FAREST, for_boxes, open_root
 
 edges = st.one_of(st.sampled_from([-0.5, -0.25, 0.0, 0.125, 0.5]), st.floats(-0.625, 0.625, width=32))
@@ -29,13 +38,13 @@ def _rooted(some):
     surfaces = empty_surfaces()
     if not some:
         return surfaces
-    floats = np.zeros((1, WORDS), np.float32)
-    floats[0, :CHILDREN] = NOWHERE
+    floats = np.zeros((1, NODE_WORDS), np.float32)
+    floats[0, :CHILD_COLUMN] = EMPTY_BOUND
     for lane, box in enumerate(some):
         for axis in range(3):
             low, high = sorted((box[axis], box[3 + axis]))
             floats[0, axis * WIDE + lane], floats[0, (3 + axis) * WIDE + lane] = low, high
-    floats.view(np.uint32)[0, CHILDREN : CHILDREN + WIDE] = np.arange(WIDE)
+    floats.view(np.uint32)[0, CHILD_COLUMN : CHILD_COLUMN + WIDE] = np.arange(WIDE)
     return surfaces._replace(floats=floats, words=floats.view(np.uint32))
 
 
@@ -43,7 +52,7 @@ def _expected(surfaces, ray, shadow, cell):
     """(list, keys of the root) of one ray."""
     way, o, _, inv, t_in, t_out, distance = ray
     keys, met = np.zeros(WIDE, np.int64), 0
-    if way == ASTRAY:
+    if way == NOT_AT_START:
         return ENDING, keys[:0]
     upper = min(t_out, distance) if shadow else t_out
     if len(surfaces.floats):
@@ -55,15 +64,15 @@ def _expected(surfaces, ray, shadow, cell):
 
 
 def _compare(surfaces, frame, packets, came_by, cell, shadow):
-    ahead, many = make_ahead(), len(came_by)
+    ahead, many = make_ray_setup(), len(came_by)
     ahead.lists[:] = 77  # what is left there does not matter
-    read_ahead(frame, packets, came_by, 0, many, shadow, ahead)
-    set_up_ahead(cell, SPACE, many, shadow, ahead)
+    read_prepared(frame, packets, came_by, 0, many, shadow, ahead)
+    set_up_rays(cell, SPACE, many, shadow, ahead)
     ends = ends_of_array(cell.index, SPACE.shape)
-    found = sift(surfaces, many, shadow, box_of_all(surfaces.floats), ends, ahead)
+    found = classify(surfaces, many, shadow, box_of_all(surfaces.floats), ends, ahead)
     wanted = [_expected(surfaces, column(ahead, j), shadow, cell) for j in range(many)]
     for which, count in zip((PASSING, ENDING, SEARCHED), found, strict=True):
-        listed = ahead.lists[which * ROOM : which * ROOM + count].tolist()
+        listed = ahead.lists[which * SETUP_ROOM : which * SETUP_ROOM + count].tolist()
         assert sorted(listed) == [j for j in range(many) if wanted[j][0] == which]
     for j in range(many):
         if wanted[j][0] != PASSING:
@@ -107,12 +116,12 @@ def test_shadow_rays(some, lights, rays, cell):
 @settings(deadline=None)
 def test_what_boxes_are_given(rays, cell):
     """Origin, inverse direction and near planes in binary32, and the times, as `for_boxes` and `open_root` have them."""
-    packets, ahead = np.zeros(len(rays) * SIZE, np.uint8), make_ahead()
+    packets, ahead = np.zeros(len(rays) * SIZE, np.uint8), make_ray_setup()
     for k, (x, y, z, a, b, _) in enumerate(rays):
         put_ray(packets, k * SIZE, PRIMARY, 1, k, (x, y, z), (a, b), np.int64(0))
-    read_ahead(_frame([(0.0, 0.0, 0.0, 1.0)]), packets, np.zeros(len(rays), np.uint8), 0, len(rays), False, ahead)
-    set_up_ahead(cell, SPACE, len(rays), False, ahead)
-    times = ahead.singles.reshape(-1, AHEAD)[6:]
+    read_prepared(_frame([(0.0, 0.0, 0.0, 1.0)]), packets, np.zeros(len(rays), np.uint8), 0, len(rays), False, ahead)
+    set_up_rays(cell, SPACE, len(rays), False, ahead)
+    times = ahead.singles.reshape(-1, SETUP_RAYS)[6:]
     for j in range(len(rays)):
         _, o, _, inv, t_in, t_out, _ = column(ahead, j)
         (ray, near), (wanted, wanted_near) = boxes_of(ahead, j), for_boxes(o, inv)
@@ -121,7 +130,7 @@ def test_what_boxes_are_given(rays, cell):
         assert times[:, j].tolist() == [np.float32(max(t_in, T_MIN)), np.float32(min(t_out, FAREST))]
 
 
-@pytest.mark.parametrize("many", [1, 7, 8, 9, AHEAD - 1, AHEAD])
+@pytest.mark.parametrize("many", [1, 7, 8, 9, SETUP_RAYS - 1, SETUP_RAYS])
 def test_any_number_of_rays(many):
     rng = np.random.default_rng(many)
     packets = np.zeros(many * SIZE, np.uint8)
@@ -145,14 +154,14 @@ def test_the_box_of_all_is_no_larger_than_it_must_be(some):
 
 
 def test_places_of_lists_fit_their_mask():
-    assert ray_classify.LISTS * ROOM <= 1024
-    assert AHEAD & (AHEAD - 1) == 0
+    assert ray_classify.LISTS * SETUP_ROOM <= 1024
+    assert SETUP_RAYS & (SETUP_RAYS - 1) == 0
 
 
 def test_packets_are_handed_on_as_one_by_one():
     rng = np.random.default_rng(3)
     packets = rng.integers(0, 256, 60 * SIZE).astype(np.uint8)
-    numbers, ways = rng.permutation(50), rng.integers(0, 7, AHEAD)
+    numbers, ways = rng.permutation(50), rng.integers(0, 7, SETUP_RAYS)
     one, all_of_them = make_outputs(100, 8), make_outputs(100, 8)
     counts, counts_of_all = np.zeros(COUNTS, np.int64), np.zeros(COUNTS, np.int64)
     for outputs in (one, all_of_them):

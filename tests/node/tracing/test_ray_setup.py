@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 from raygrid.emulator.processes.warm import tiny_frame as one_frame
 from raygrid.node.geometry.lattice import LATTICE, make_cell, make_space
-from raygrid.node.protocol.frame_tables import LIGHT_COLUMNS, LIGHT_KIND, PLACE
+from raygrid.node.protocol.frame_tables import LIGHT_COLUMNS, LIGHT_KIND, LIGHT_PLACE
 from raygrid.node.protocol.packets import HALF_DIRECTION, PRIMARY, SIZE, put_ray, put_shadow
 from raygrid.node.tracing import ray_setup
-from raygrid.node.tracing.ray_setup import AHEAD, KNOWN, make_ahead, read_ahead, set_up_ahead
+from raygrid.node.tracing.ray_setup import KNOWN, SETUP_RAYS, make_ray_setup, read_prepared, set_up_rays
 from raygrid.node.tracing.step import _set_up
 
 STEPS = (2.0**-24, 1.5 * 2.0**-25, 2.0**-26)
@@ -35,7 +35,7 @@ def _frame(lights):
     """A frame with these lights, (kind, x, y, z)."""
     table = np.zeros((len(lights), LIGHT_COLUMNS))
     for row, (kind, *place) in zip(table, lights, strict=True):
-        row[LIGHT_KIND], row[PLACE : PLACE + 3] = kind, place
+        row[LIGHT_KIND], row[LIGHT_PLACE : LIGHT_PLACE + 3] = kind, place
     return one_frame()._replace(lights=table, n_lights=len(lights))
 
 
@@ -45,11 +45,11 @@ def _bits(numbers):
 
 def _same(frame, packets, came_by, cell, shadows):
     """Compare all that is known of the rays of these packets."""
-    kind, columns = int(packets[0]) & 7, make_ahead()
+    kind, columns = int(packets[0]) & 7, make_ray_setup()
     many = len(came_by)
-    read_ahead(frame, packets, came_by, 0, many, shadows, columns)
-    set_up_ahead(cell, SPACE, many, shadows, columns)
-    known = columns.known.reshape(KNOWN, AHEAD)
+    read_prepared(frame, packets, came_by, 0, many, shadows, columns)
+    set_up_rays(cell, SPACE, many, shadows, columns)
+    known = columns.known.reshape(KNOWN, SETUP_RAYS)
     for k in range(many):
         way, o, d, inv, t_in, t_out, distance = _set_up(cell, SPACE, frame, packets, k * SIZE, int(came_by[k]), kind)
         assert columns.ways[k] == way
@@ -81,7 +81,7 @@ def test_shadow_rays(lights, rays, cell):
     _same(_frame(lights), packets, np.array([ray[4] for ray in rays], np.uint8), cell, True)
 
 
-@pytest.mark.parametrize("many", [1, 7, 8, 9, AHEAD - 1, AHEAD])
+@pytest.mark.parametrize("many", [1, 7, 8, 9, SETUP_RAYS - 1, SETUP_RAYS])
 def test_any_number_of_rays(many):
     """What is left in other columns does not matter."""
     rng = np.random.default_rng(many)
@@ -96,4 +96,4 @@ def test_any_number_of_rays(many):
 
 def test_the_columns_are_whole_vectors():
     """Eight rays are set up even if fewer are wanted, so a column of the last of them must exist."""
-    assert AHEAD % ray_setup.EIGHT == 0
+    assert SETUP_RAYS % ray_setup.EIGHT == 0

@@ -18,11 +18,11 @@ from raygrid.node.protocol.packets import (
     put_shadow,
 )
 from raygrid.node.tracing.spawn import (
-    BROOD,
     EIGHT,
-    RAY_BROOD,
-    SHADOW_BROOD,
-    make_newborn,
+    RAY_BATCH,
+    SHADOW_BATCH,
+    SPAWN_ROOM,
+    make_spawn_batch,
     note,
     origin_beside,
     put,
@@ -57,7 +57,7 @@ def _unit(v):
 
 def _write(brood, births, cell):
     """Packets of births (head, light, p, g, d, weight), and the ports behind which they start."""
-    newborn, rows = make_newborn(), np.zeros(len(births) * SIZE, np.uint8)
+    newborn, rows = make_spawn_batch(), np.zeros(len(births) * SIZE, np.uint8)
     for birth in births:
         note(newborn, brood, *birth)
     assert newborn.held[brood] == len(births)
@@ -81,7 +81,7 @@ def test_rays(births, cell):
     noted = [
         (REFLECTED | (3 << 3) | (sample << 8), 0, p, _unit(g), _unit(d), weight) for p, g, d, weight, sample in births
     ]
-    rows, ports = _write(RAY_BROOD, noted, cell)
+    rows, ports = _write(RAY_BATCH, noted, cell)
     for k, (p, _, _, weight, sample) in enumerate(births):
         g, d = noted[k][3], noted[k][4]
         origin, row = origin_beside(STEPS, p, g, d), np.zeros(SIZE, np.uint8)
@@ -105,7 +105,7 @@ def test_shadow_rays(births, cell):
         (SHADOW | (31 << 3) | (sample << 8), light, p, _unit(g), _unit(d), weight)
         for p, g, d, weight, sample, light in births
     ]
-    rows, ports = _write(SHADOW_BROOD, noted, cell)
+    rows, ports = _write(SHADOW_BATCH, noted, cell)
     for k, (p, _, _, weight, sample, light) in enumerate(births):
         origin, row = origin_beside(STEPS, p, noted[k][3], noted[k][4]), np.zeros(SIZE, np.uint8)
         put_shadow(row, 0, 31, sample, origin, light, weight)
@@ -113,11 +113,11 @@ def test_shadow_rays(births, cell):
         assert _first(ports[k]) == towards_start(cell, origin)
 
 
-@pytest.mark.parametrize("brood", [SHADOW_BROOD, RAY_BROOD])
+@pytest.mark.parametrize("brood", [SHADOW_BATCH, RAY_BATCH])
 def test_a_full_brood_says_so(brood):
     """Where there is room for no more, and only there; the other brood is left alone."""
-    newborn = make_newborn()
+    newborn = make_spawn_batch()
     birth = (1, 0, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0))
-    assert [note(newborn, brood, *birth) for _ in range(BROOD)] == [False] * (BROOD - 1) + [True]
+    assert [note(newborn, brood, *birth) for _ in range(SPAWN_ROOM)] == [False] * (SPAWN_ROOM - 1) + [True]
     assert newborn.held[1 - brood] == 0
-    assert BROOD % EIGHT == 0
+    assert SPAWN_ROOM % EIGHT == 0

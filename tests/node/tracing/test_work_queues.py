@@ -6,10 +6,10 @@ from support.packets import pixel_bytes, ray_bytes, return_bytes, rows, shadow_b
 
 from raygrid.node.protocol import packets
 from raygrid.node.protocol.messages import HEAD
-from raygrid.node.protocol.packets import SIZE, Limits
-from raygrid.node.tracing.work_queues import CLASSES, MOST, RAYS, SHADOWS, TRAVELLERS, Backlog
+from raygrid.node.protocol.packets import SIZE, PacketLimits
+from raygrid.node.tracing.work_queues import CLASSES, IN_TRANSIT, MOST, RAYS, SHADOWS, WorkQueues
 
-LIMITS = Limits(samples=400, pixels=100, lights=2, depth=5, shape=(4, 3, 2))
+LIMITS = PacketLimits(samples=400, pixels=100, lights=2, depth=5, shape=(4, 3, 2))
 PORT = 3
 EACH = [
     ray_bytes(packets.PRIMARY, 1, 7, (1, 2, 3), (4, 5), 6),
@@ -40,7 +40,7 @@ def _one_by_one(data, stacks):
         if bad:
             return k, bad
         kind = packet[0] & 7
-        which = SHADOWS if kind == packets.SHADOW else (TRAVELLERS if kind > packets.SHADOW else RAYS)
+        which = SHADOWS if kind == packets.SHADOW else (IN_TRANSIT if kind > packets.SHADOW else RAYS)
         stacks[which] += packet
     return -1, 0
 
@@ -48,7 +48,7 @@ def _one_by_one(data, stacks):
 @given(messages(), messages())
 @settings(deadline=None)
 def test_messages_are_sorted(first, second):
-    backlog, stacks = Backlog(), [b""] * CLASSES
+    backlog, stacks = WorkQueues(), [b""] * CLASSES
     backlog.set_limits(LIMITS)
     most = 0
     for data in (first, second):

@@ -10,7 +10,7 @@ from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.host.render.animation_jobs import jobs_of
 from raygrid.host.render.frame import render_job
 from raygrid.host.render.job import Settings, make_job
-from raygrid.host.scene.animation.animation import about, after, motion, moved_point, quaternion, shot_bounds
+from raygrid.host.scene.animation.animation import about, after, animation_bounds, motion, moved_point, quaternion
 from raygrid.host.scene.animation.turntable import turntable
 from raygrid.host.scene.load import load_scene
 from raygrid.node.errors import SceneError
@@ -251,7 +251,7 @@ def test_a_light_that_turns_through_nothing_is_an_error_of_that_frame(read):
 
 def test_the_world_box_is_that_of_all_frames_and_of_no_more(read):
     scene = read()
-    box = shot_bounds(scene)
+    box = animation_bounds(scene)
     frames = []
     for job in jobs_of(scene, (1, 1, 1), Settings()):
         now = [placed(batch, job.moves).bounds() for batch in job.surfaces]

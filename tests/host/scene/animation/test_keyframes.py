@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from raygrid.host.scene.animation.keyframes import make_track, slerp
+from raygrid.host.scene.animation.keyframes import make_keyframes, slerp
 from raygrid.node.errors import SceneError
 
 
 def test_linear_goes_straight_and_stays_beyond_the_keys():
-    track = make_track([1, 5, 6], [[0, 10], [4, 10], [0, 0]])
+    track = make_keyframes([1, 5, 6], [[0, 10], [4, 10], [0, 0]])
     assert [track.at(f).tolist() for f in (-3, 1, 2, 5, 5.5, 6, 99)] == [
         [0, 10],
         [0, 10],
@@ -21,14 +21,14 @@ def test_linear_goes_straight_and_stays_beyond_the_keys():
 
 
 def test_step_keeps_the_last_key():
-    track = make_track([1, 5], [1, 2], "step")
+    track = make_keyframes([1, 5], [1, 2], "step")
     assert [float(track.at(f)[0]) for f in (1, 4.999, 5)] == [1, 1, 2]
 
 
 def test_smooth_meets_its_keys_never_goes_beyond_them_and_has_no_corners():
     rng = np.random.default_rng(3)
     frames, values = np.cumsum(rng.uniform(0.5, 9, 12)), rng.normal(size=(12, 3))
-    track = make_track(frames, values, "smooth")
+    track = make_keyframes(frames, values, "smooth")
     for frame, value in zip(frames, values, strict=True):
         assert np.allclose(track.at(frame), value, atol=1e-12)
     for k in range(11):
@@ -44,7 +44,7 @@ def test_smooth_meets_its_keys_never_goes_beyond_them_and_has_no_corners():
 
 
 def test_smooth_goes_evenly_where_keys_are_even():
-    track = make_track([0, 10, 20, 30], [0.0, 1.0, 2.0, 3.0], "smooth")
+    track = make_keyframes([0, 10, 20, 30], [0.0, 1.0, 2.0, 3.0], "smooth")
     assert float(track.at(15)[0]) == pytest.approx(1.5, abs=1e-12)
     assert float(track.at(12)[0]) == pytest.approx(1.2, abs=1e-12)
 
@@ -70,4 +70,4 @@ def test_turns_go_the_short_way_at_even_speed():
 )
 def test_wrong_keys(frames, values, way, said):
     with pytest.raises(SceneError, match=said):
-        make_track(frames, np.array(values, float), way)
+        make_keyframes(frames, np.array(values, float), way)
