@@ -268,8 +268,8 @@ def right(picture: Picture, shape: Shape, frame: Frame = SMALL) -> bool:
 
 def warm() -> None:
     """Compile what is not in the cache yet, so that no case has to wait for it."""
-    with ForkServerClient.start() as nursery:
-        nursery.wait_warm(WARM_SECONDS)
+    with ForkServerClient.start() as fork_server:
+        fork_server.wait_warm(WARM_SECONDS)
     with Array.launch((1, 1, 1), programs=True, patience=WARM_SECONDS) as array:
         render(array, programmed())
 

@@ -30,7 +30,7 @@ DONE_SECONDS = 30.0
 Clean = Callable[[ServiceBed], None]
 
 
-def _door(bed: ServiceBed) -> None:
+def _listener(bed: ServiceBed) -> None:
     shutil.rmtree(bed.record.directory)
 
 
@@ -90,7 +90,7 @@ def _temporary(bed: ServiceBed) -> None:
 
 CLEANS: tuple[Clean, ...] = (
     *(
-        _door,
+        _listener,
         _socket,
         _token,
         _links,

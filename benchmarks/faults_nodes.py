@@ -51,11 +51,11 @@ def _send(pid: int, sign: signal.Signals) -> None:
         return
 
 
-def _nursery(rng: random.Random) -> list[Case]:
+def _fork_server(rng: random.Random) -> list[Case]:
     def act(bed: Bed) -> None:
-        nursery = bed.array._nursery
-        assert nursery is not None
-        os.kill(nursery.pid, signal.SIGKILL)
+        fork_server = bed.array._fork_server
+        assert fork_server is not None
+        os.kill(fork_server.pid, signal.SIGKILL)
 
     return [_strike("nursery killed", rng.choice(MOMENTS[:4]), rng.randint(1, 4), act)]
 
@@ -182,7 +182,7 @@ GROUPS = {
     "half of the nodes killed": _signals("SIGKILL of half", signal.SIGKILL, lambda nodes: nodes // 2),
     "all nodes stopped": _signals("SIGSTOP of all", signal.SIGSTOP, lambda nodes: nodes),
     "stopped and reset": _deaf,
-    "nursery killed": _nursery,
+    "nursery killed": _fork_server,
     "memory of a node limited": _memory,
     "descriptors of a node used up": _descriptors,
     "rubbish on a corner link": _rubbish,

@@ -64,20 +64,20 @@ class HostileArray(Array):
         self._own: dict[int, ZmqChannel] = {}
 
     def _begin_epoch(self) -> None:
-        assert self._crew is not None
+        assert self._node_processes is not None
         self.hang_up_own()
-        crew, begin = self._crew, type(self._crew).begin
+        node_processes, begin = self._node_processes, type(self._node_processes).begin
 
         def begin_others(configs: dict[Any, Any]) -> int:
             mine = configs.pop(PLACE)
-            forked = begin(crew, configs)
+            forked = begin(node_processes, configs)
             self._open(mine)
             return forked
 
         if self.hostile:
-            crew.begin = begin_others  # type: ignore[method-assign]
-        elif "begin" in vars(crew):
-            del crew.begin  # type: ignore[method-assign]
+            node_processes.begin = begin_others  # type: ignore[method-assign]
+        elif "begin" in vars(node_processes):
+            del node_processes.begin  # type: ignore[method-assign]
         super()._begin_epoch()
 
     def _open(self, config: dict[str, Any]) -> None:
@@ -175,9 +175,9 @@ class Fuzz:
 
     def send_words(self, count: int) -> None:
         """Anything on the lines; never a reset that could be obeyed."""
-        assert self.array._crew is not None
-        lines = self.array._crew.lines
-        for index in list(self.array._crew.pids):
+        assert self.array._node_processes is not None
+        lines = self.array._node_processes.lines
+        for index in list(self.array._node_processes.pids):
             line = lines._lines[index]
             for _ in range(count):
                 data = (
@@ -287,8 +287,8 @@ def epoch(array: HostileArray, fuzz: Fuzz, packets: int, words: int) -> None:
     for link in array.neighbours():
         fuzz.send_breaking(link)
     while array._lost is None:
-        assert array._crew is not None
-        select.select(array._crew.filenos(), [], [], 0.05)
+        assert array._node_processes is not None
+        select.select(array._node_processes.filenos(), [], [], 0.05)
         try:
             array.check()
         except RECOVERABLE:

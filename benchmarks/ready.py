@@ -25,8 +25,8 @@ def launched(shape: str) -> dict[str, object]:
         begun = time.perf_counter()
         array.begin()
         # The launch alone, after the warm-up: Array itself has no way of waiting for the one without the other.
-        assert array._nursery is not None
-        array._nursery.wait_warm(LONGEST)
+        assert array._fork_server is not None
+        array._fork_server.wait_warm(LONGEST)
         warm = time.perf_counter()
         array.wait_ready()
         ready = time.perf_counter()

@@ -79,9 +79,9 @@ class Gathering(MemoryArray):
         for processor in self.processors:
             for port in processor.links:
                 processor.receive(port)
-        held = [processor.tracer.backlog.held for processor in self.processors]
+        held = [processor.node_state.work_queues.held for processor in self.processors]
         for processor, here in zip(self.processors, held, strict=True):
-            if here == 0 or here * GATHER >= max(held) or processor.tracer.quota > 0:
+            if here == 0 or here * GATHER >= max(held) or processor.node_state.quota > 0:
                 processor.work()
         for corner in self.driver.links:
             self.driver.receive(corner)
@@ -97,8 +97,8 @@ class Loaded:
         self.array.driver.ready()
         self.array.driver.load(job.space, job.surfaces)
         for processor in self.array.processors:
-            processor.tracer._go = self.turns.of(processor.tracer._go)
-            processor.tracer.pace[TUNE_AFTER] = TURN
+            processor.node_state._go = self.turns.of(processor.node_state._go)
+            processor.node_state.tuning[TUNE_AFTER] = TURN
         self.least, self.least_sorting = np.inf, np.inf
         self.calls = 0
 
@@ -109,15 +109,18 @@ class Loaded:
         self.array.driver.trace(self.job.frame)
         self.calls = self.turns.calls
         spent = [(clock.seconds, clock.calls) for clock in (self.turns, self.sorting)]
-        tracer = self.array.processors[0].tracer
-        idle = idle_call(self.turns, tracer.work), idle_call(self.sorting, lambda: tracer.backlog.sort_in(b"", 0, 0))
+        node_state = self.array.processors[0].node_state
+        idle = (
+            idle_call(self.turns, node_state.work),
+            idle_call(self.sorting, lambda: node_state.work_queues.sort_in(b"", 0, 0)),
+        )
         turns, sorting = (seconds - calls * one for (seconds, calls), one in zip(spent, idle, strict=True))
         self.least_sorting = min(self.least_sorting, sorting)
         self.least = min(self.least, turns + sorting)
 
     def figures(self, alone: Loaded) -> dict[str, Any]:
         """What came out; `alone`: the array to compare with."""
-        counts = sum(processor.tracer.counts for processor in self.array.processors)
+        counts = sum(processor.node_state.counts for processor in self.array.processors)
         assert isinstance(counts, np.ndarray)
         hops = int(counts[SENT : SENT + PORTS].sum())
         return {

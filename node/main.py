@@ -148,9 +148,11 @@ def _serve(
     if kind is not Processor:  # what keeps machine time takes other messages than those that compiled code knows
         return _loop(config, processor, pairs, faults, life, line, probe)
     with closing(
-        NativeLinkTable(processor.links, pairs, processor.tallies.tally, (life, line.fileno()), timed=profiled)
-    ) as wired:
-        processor.wire(wired)
+        NativeLinkTable(
+            processor.links, pairs, processor.reductions.reduction_state, (life, line.fileno()), timed=profiled
+        )
+    ) as link_table:
+        processor.wire(link_table)
         return _loop(config, processor, pairs, faults, life, line, probe)
 
 

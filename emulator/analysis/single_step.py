@@ -59,7 +59,7 @@ class SingleStep:
         array.driver.load(space, surfaces)
         array.driver.wave(frame_order(frame))
         self.space, self.frame = space, frame
-        self.nodes: dict[Index, NodeState] = {processor.index: processor.tracer for processor in array.processors}
+        self.nodes: dict[Index, NodeState] = {processor.index: processor.node_state for processor in array.processors}
         self._outputs = make_outputs(2 * (frame.n_lights + 2), DEPTH)
         self._ports = np.zeros(1, np.uint8)
 

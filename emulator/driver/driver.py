@@ -143,18 +143,18 @@ class Driver:
         self._wave_number += 1
         self.waves += 1
         self._answer, self._answered = None, False
-        tally = pack_request(self._wave_number, order) if order["do"] == "trace" else None
-        if tally is None:
+        reduction_state = pack_request(self._wave_number, order) if order["do"] == "trace" else None
+        if reduction_state is None:
             self.links[0].send_order(MessageKind.DOWN, {**order, "wave": self._wave_number})
         else:
-            self.links[0].send_words(MessageKind.TALLY, tally)
+            self.links[0].send_words(MessageKind.TALLY, reduction_state)
         self._wait(lambda: self._answer is not None, f"the order {order['do']!r} came back")
         self._answered = True
         answer: dict[str, Any] = self._answer  # type: ignore[assignment]
         sums = answer["sums"] = read_sums(answer).tolist()
         if answer.get("wave") != self._wave_number:
             raise ProtocolError(f"wave {self._wave_number} ({order['do']}) came back as another one")
-        if sums[REFUSED] and tally is not None:  # which says how often, and another wave why
+        if sums[REFUSED] and reduction_state is not None:  # which says how often, and another wave why
             return self.wave({"do": "loaded"})
         if sums[REFUSED]:
             raise Garbled(f"{sums[REFUSED]} times a node refused what came: " + "; ".join(answer["refusals"]))

@@ -81,23 +81,23 @@ class CostGrid(NamedTuple):
     crossed: F64
 
 
-def count_work(pilot: SamplingPrepass, grid: Space, weights: Weights | None = None) -> CostGrid:
+def count_work(prepass: SamplingPrepass, grid: Space, weights: Weights | None = None) -> CostGrid:
     """Running sums of the pilot's work over a grid of planes."""
     weights = weights or Weights()
     nx, ny, nz = grid.shape
     work = CostGrid(np.zeros((nx + 1, ny + 1, nz + 1)), np.zeros((3, 2, nx + 1, ny + 1, nz + 1)))
-    places = _places(pilot, grid) if weights.held > 0.0 else np.zeros((3, 0), np.int64)
-    held = float(weights.held * pilot.each / pilot.share)
+    places = _places(prepass, grid) if weights.held > 0.0 else np.zeros((3, 0), np.int64)
+    held = float(weights.held * prepass.each / prepass.share)
     costs = Weights(*map(float, weights))
-    _count_work(pilot.rays, pilot.surfaces, np.zeros(DEPTH, np.int64), grid, costs, work, places, held)
+    _count_work(prepass.rays, prepass.surfaces, np.zeros(DEPTH, np.int64), grid, costs, work, places, held)
     return work
 
 
-def _places(pilot: SamplingPrepass, grid: Space) -> NDArray[np.int64]:
+def _places(prepass: SamplingPrepass, grid: Space) -> NDArray[np.int64]:
     """The voxels that hold the middles of surfaces, counted from 1, int64 (3, n)."""
-    places = np.empty((3, len(pilot.boxes)), np.int64)
+    places = np.empty((3, len(prepass.boxes)), np.int64)
     for axis in range(3):
-        middles = (pilot.boxes[:, 0, axis] + pilot.boxes[:, 1, axis]) / 2.0 / pilot.step[axis] + LATTICE // 2
+        middles = (prepass.boxes[:, 0, axis] + prepass.boxes[:, 1, axis]) / 2.0 / prepass.step[axis] + LATTICE // 2
         places[axis] = np.searchsorted(grid.planes[axis, 1 : grid.shape[axis]], middles, "right") + 1
     return places
 

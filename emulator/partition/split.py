@@ -139,10 +139,10 @@ def _by_prepass(shape: Index, world: World, surfaces: SurfaceSet, frame: Frame) 
     from raygrid.emulator.partition.cost_grid import count_work, improve
     from raygrid.emulator.partition.sampling_prepass import run_prepass
 
-    pilot = run_prepass(world.step, surfaces, frame)
-    if len(pilot.rays.origins) == 0:
+    prepass = run_prepass(world.step, surfaces, frame)
+    if len(prepass.rays.origins) == 0:
         return None
-    of_rays, of_surfaces = _of_points(pilot.rays.origins), _of_surfaces(pilot.boxes, world)
+    of_rays, of_surfaces = _of_points(prepass.rays.origins), _of_surfaces(prepass.boxes, world)
     by_rays, by_surfaces = (
         [_quantiles(cells, measure) for cells, measure in zip(shape, measures, strict=True)]
         for measures in (of_rays, of_surfaces)
@@ -150,7 +150,7 @@ def _by_prepass(shape: Index, world: World, surfaces: SurfaceSet, frame: Frame) 
     if max(shape) > MOST_CELLS:
         return by_rays
     lines = [_choice(*axis) for axis in zip(shape, of_rays, of_surfaces, strict=True)]
-    work = count_work(pilot, make_space(world.step, [line.tolist() for line in lines]))
+    work = count_work(prepass, make_space(world.step, [line.tolist() for line in lines]))
     least, best = np.inf, by_rays
     for start in ([_uniform(cells) for cells in shape], by_surfaces, by_rays):
         planes = np.zeros((3, max(shape) + 1), np.int64)

@@ -92,8 +92,8 @@ class Array:
         self._on_sample: Callable[[NodeSample], object] | None = None
         self._on_warming = on_warming
         self.on_wait: Callable[[], None] | None = None
-        self._nursery: ForkServerClient | None = None
-        self._crew: NodeProcesses | None = None
+        self._fork_server: ForkServerClient | None = None
+        self._node_processes: NodeProcesses | None = None
         self._place: SocketDirectory | None = None
         self._context: zmq.Context[Any] | None = None
         self._pairs: dict[int, ZmqChannel] = {}
@@ -126,28 +126,28 @@ class Array:
     @property
     def pids(self) -> list[int]:
         """The processes of the nodes, x fastest; they change when nodes are forked anew."""
-        return [] if self._crew is None else list(self._crew.pids.values())
+        return [] if self._node_processes is None else list(self._node_processes.pids.values())
 
     def nodes(self) -> list[ProcessState]:
         """Every node, x fastest, with its process and that process' state ("running", "waiting", "stopped", "dead")."""
-        return [] if self._crew is None else self._crew.states()
+        return [] if self._node_processes is None else self._node_processes.states()
 
     def begin(self) -> None:
         """Start the nursery, which warms up while the caller does other things."""
         self._begun = True
         self._place = SocketDirectory.create(self.shape)
         warm = "raygrid.emulator.processes.warm:warm_timed" if self.timed else "raygrid.emulator.processes.warm:warm"
-        self._nursery = ForkServerClient.start(warm=warm, on_warming=self._on_warming, directory=self._place.path)
+        self._fork_server = ForkServerClient.start(warm=warm, on_warming=self._on_warming, directory=self._place.path)
 
     def wait_warm(self) -> None:
         """Wait until the nursery has every kernel, and all that it compiled is in the cache on disk."""
-        if self._nursery is None:
+        if self._fork_server is None:
             raise ArrayError("the array has not begun")
-        self._nursery.wait_warm(WARM_SECONDS)
+        self._fork_server.wait_warm(WARM_SECONDS)
 
     def is_warm(self) -> bool:
         """Whether nodes could be forked at once. Raises ArrayError if the nursery has failed."""
-        return self._nursery is not None and self._nursery.is_warm()
+        return self._fork_server is not None and self._fork_server.is_warm()
 
     def wait_ready(self) -> None:
         """Fork the nodes once the nursery is warm, and wait until every link is up.
@@ -156,12 +156,12 @@ class Array:
         """
         import_links()
         self.wait_warm()
-        assert self._nursery is not None
+        assert self._fork_server is not None
         import zmq
 
         from raygrid.emulator.processes.node_processes import NodeProcesses
 
-        self._crew = NodeProcesses(self._nursery)
+        self._node_processes = NodeProcesses(self._fork_server)
         self._context = zmq.Context(io_threads=1)
         self._begin_epochs()
 
@@ -177,7 +177,12 @@ class Array:
         self.lost_nodes = []
         try:
             there = self._place is not None and self._place.keep()  # or no link could be made in it
-            if there and self._crew is not None and self._nursery is not None and self._nursery.serving:
+            if (
+                there
+                and self._node_processes is not None
+                and self._fork_server is not None
+                and self._fork_server.serving
+            ):
                 with contextlib.suppress(*FAULTS):
                     self._begin_epochs()
                     return
@@ -199,7 +204,7 @@ class Array:
                 self._begin_epoch()
                 return
             except FAULTS:
-                if left == 0 or self._nursery is None or not self._nursery.serving:
+                if left == 0 or self._fork_server is None or not self._fork_server.serving:
                     raise
             except (OSError, zmq.ZMQError) as error:
                 raise ArrayError(f"the links of the array cannot be opened: {error.strerror}") from error
@@ -214,14 +219,14 @@ class Array:
         from raygrid.node.geometry import corners
         from raygrid.node.links import ZmqChannel
 
-        assert self._crew is not None
+        assert self._node_processes is not None
         assert self._place is not None
         assert self._context is not None
         self._hang_up()
         self._poller = poller = zmq.Poller()
         self._lost = None
         self._lame_since.clear()
-        first = not self._crew.pids
+        first = not self._node_processes.pids
         self.epoch = (self.epoch + 1) & LAST_EPOCH  # after the last one nodes refuse the first, and are forked anew
         machine = os.urandom(8).hex()
         for corner, index in corners(self.shape).items():
@@ -230,11 +235,11 @@ class Array:
             poller.register(zmq_channel.socket, zmq.POLLIN)
         told = {"batch": self.batch, "fault": self.fault, "programs": self.programs}
         told |= {"profile": self.profile, "timed": self.timed}
-        forked = self._crew.begin(node_configs(self.shape, self._place.path, self.epoch, machine, **told))
+        forked = self._node_processes.begin(node_configs(self.shape, self._place.path, self.epoch, machine, **told))
         self.restarts += 0 if first else forked
-        self.lost_nodes += map(_told, self._crew.lost)
-        self._crew.lost.clear()
-        for descriptor in self._crew.filenos():
+        self.lost_nodes += map(_told, self._node_processes.lost)
+        self._node_processes.lost.clear()
+        for descriptor in self._node_processes.filenos():
             poller.register(descriptor, zmq.POLLIN)
         links = host_links(self.shape, self._pairs, machine, self.epoch)
         patience = PATIENCE if self.patience is None else self.patience
@@ -269,15 +274,15 @@ class Array:
         self._tell_rate()
 
     def _tell_rate(self) -> None:
-        if self._crew is None or self._driver is None or self._poller is None:  # told when the array is ready
+        if self._node_processes is None or self._driver is None or self._poller is None:  # told when the array is ready
             return
-        for index in self._crew.pids:
-            self._crew.lines.send(index, {"do": "probe", "rate": self._rate})
+        for index in self._node_processes.pids:
+            self._node_processes.lines.send(index, {"do": "probe", "rate": self._rate})
         if self._rate:  # waking for each sample costs more than reading it: `_pump` listens now and then instead
             with contextlib.suppress(KeyError):
-                self._poller.unregister(self._crew.lines.fileno())
+                self._poller.unregister(self._node_processes.lines.fileno())
         else:
-            self._poller.register(self._crew.lines.fileno(), select.POLLIN)
+            self._poller.register(self._node_processes.lines.fileno(), select.POLLIN)
 
     def check(self) -> None:
         """Look after an array that nobody waits for: take in what has come, and look at the processes.
@@ -316,15 +321,15 @@ class Array:
 
     def _hear(self) -> None:
         """Take in the ends of processes and what nodes say on their lines."""
-        assert self._crew is not None
+        assert self._node_processes is not None
         self._heard = time.monotonic()
-        for event in self._crew.hear():
+        for event in self._node_processes.hear():
             if isinstance(event, ProcessEnded):
                 if not (self._closing and event.code == 0):
                     raise LostProcess(_told(event))
             elif event.words.get("is") == "broken":
                 if event.words.get("epoch") == self.epoch:
-                    pid = self._crew.pids[event.index]
+                    pid = self._node_processes.pids[event.index]
                     raise ProtocolError(f"node {_name(event.index)} (pid {pid}): {event.words.get('why')}")
             elif event.words.get("is") == "sample":
                 self._take_sample(event.index, event.words)
@@ -359,8 +364,8 @@ class Array:
         said: dict[tuple[tuple[int, ...], int], str] = {
             key: f"node {_name(node.index)} (pid {node.pid}) is {node.state}" for key, node in lame.items()
         }
-        if idle and self._nursery is not None and self._nursery.stopped:
-            said[(), self._nursery.pid] = f"the nursery (process {self._nursery.pid}) is stopped"
+        if idle and self._fork_server is not None and self._fork_server.stopped:
+            said[(), self._fork_server.pid] = f"the nursery (process {self._fork_server.pid}) is stopped"
         self._lame_since = {key: self._lame_since.get(key, now) for key in said}
         for key, since in self._lame_since.items():
             if now - since >= STOPPED_SECONDS:
@@ -389,12 +394,12 @@ class Array:
         if self._context is not None:
             self._context.destroy(linger=0)
             self._context = None
-        node_processes, self._crew = self._crew, None
-        nursery, self._nursery = self._nursery, None
+        node_processes, self._node_processes = self._node_processes, None
+        fork_server, self._fork_server = self._fork_server, None
         place, self._place = self._place, None
         try:
-            if nursery is not None:
-                nursery.end(END_SECONDS)
+            if fork_server is not None:
+                fork_server.end(END_SECONDS)
         finally:
             if node_processes is not None:
                 node_processes.close()

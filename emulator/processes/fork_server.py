@@ -167,19 +167,19 @@ class ForkServer:
         # A signal between the fork and the child's own dispositions must not run the nursery's handlers.
         held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGHUP, signal.SIGCHLD})
         try:
-            nursery = os.getpid()
+            fork_server = os.getpid()
             pid = os.fork()
             if pid == 0:
-                self._be_node(config, line, nursery)
+                self._be_node(config, line, fork_server)
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, held)
         return pid
 
-    def _be_node(self, config: Message, line: int, nursery: int) -> NoReturn:
+    def _be_node(self, config: Message, line: int, fork_server: int) -> NoReturn:
         """In the child: run the node program to its end. Never returns into the nursery's frames."""
         code = 1
         try:
-            self._forget_nursery(nursery, line)
+            self._forget_fork_server(fork_server, line)
             self._run(config, self._life, line)
             code = 0
         except BaseException as error:
@@ -190,9 +190,9 @@ class ForkServer:
                     stream.flush()
             os._exit(code)
 
-    def _forget_nursery(self, nursery: int, line: int) -> None:
+    def _forget_fork_server(self, fork_server: int, line: int) -> None:
         """In the child: give up all that is the nursery's, keeping descriptors 0, 1, 2, `life` and `line`."""
-        end_with_parent(nursery)
+        end_with_parent(fork_server)
         signal.set_wakeup_fd(-1)
         for number in (signal.SIGCHLD, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, signal.SIG_DFL)

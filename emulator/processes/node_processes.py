@@ -45,8 +45,8 @@ class NodeProcesses:
     lost    those that ended by themselves, in the order in which that was heard; for the caller to clear
     """
 
-    def __init__(self, nursery: ForkServerClient) -> None:
-        self.nursery = nursery
+    def __init__(self, fork_server: ForkServerClient) -> None:
+        self.fork_server = fork_server
         self.lines = ControlChannels()
         self.pids: dict[Index, int] = {}
         self.dead: set[Index] = set()
@@ -54,12 +54,12 @@ class NodeProcesses:
 
     def filenos(self) -> tuple[int, int]:
         """Descriptors of which one can be read when `hear` has something to tell."""
-        return self.nursery.fileno(), self.lines.fileno()
+        return self.fork_server.fileno(), self.lines.fileno()
 
     def hear(self) -> list[ProcessEnded | NodeReport]:
         """Which nodes have ended, and what others said, without waiting. Raises LostProcess if the nursery is gone."""
         heard: list[ProcessEnded | NodeReport] = [NodeReport(index, words) for index, words in self.lines.receive()]
-        for event in self.nursery.read_events():
+        for event in self.fork_server.read_events():
             if isinstance(event, ProcessEnded) and self.pids.get(event.index) == event.pid:
                 self.dead.add(event.index)
                 self.lines.remove(event.index)
@@ -81,19 +81,19 @@ class NodeProcesses:
         self.hear()
         silent = self._signal(configs)
         if silent:
-            self.nursery.kill([self.pids[index] for index in silent])
+            self.fork_server.kill([self.pids[index] for index in silent])
             self._await(lambda: silent <= self.dead, LAST_WAIT)
             if not silent <= self.dead:
                 index = min(silent - self.dead)
-                self.nursery.deaf = True  # or the kernel would have ended them, and it said so
+                self.fork_server.deaf = True  # or the kernel would have ended them, and it said so
                 raise LostProcess(f"node {_name(index)} (pid {self.pids[index]}) does not end when it is killed")
             self.lost = [event for event in self.lost if event.index not in silent]
         missing = {index: config for index, config in configs.items() if index in self.dead or index not in self.pids}
         if missing:
-            pids = self.nursery.launch(list(missing.values()))
+            pids = self.fork_server.launch(list(missing.values()))
             for index, pid in zip(missing, pids, strict=True):
                 self.pids[index] = pid
-                self.lines.add(index, self.nursery.take_line(pid))
+                self.lines.add(index, self.fork_server.take_line(pid))
                 self.dead.discard(index)
         self.pids = {index: self.pids[index] for index in configs}  # x fastest, whoever was forked last
         return len(missing)
@@ -121,7 +121,7 @@ class NodeProcesses:
 
     def _await(self, done: Callable[[], bool], seconds: float) -> None:
         deadline = time.monotonic() + seconds
-        while not done() and not self.nursery.stopped and (left := deadline - time.monotonic()) > 0:
+        while not done() and not self.fork_server.stopped and (left := deadline - time.monotonic()) > 0:
             self._wait(min(left, LOOK_SECONDS))
             self.hear()
 

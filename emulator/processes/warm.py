@@ -133,7 +133,7 @@ def warm(report: Report) -> None:
                 frame._replace(samples=1 << 18),
             )
             Collected(0, MAX_PIXEL_SAMPLES).take(bytes(HEAD), 0)
-            profile.warm(array.processors[0].tracer)
+            profile.warm(array.processors[0].node_state)
     report(KERNELS, KERNELS, "ready")
 
 

@@ -121,14 +121,14 @@ class Model:
         return len(self.held)
 
 
-def make_model(space: Space, surfaces: SurfaceSet, frame: Frame, search: str, books: int = 1) -> Model:
+def make_model(space: Space, surfaces: SurfaceSet, frame: Frame, search: str, link_states: int = 1) -> Model:
     """Work out who holds and who bears what. Raises TooLarge if this computer has no room for it.
 
     books   most phases at a time of which the nodes' books are kept, the one that runs included
     """
     if search not in ("list", "tree"):
         raise ArrayError(f"a search came as {search!r}, wanted list or tree")
-    check_room(space.shape, frame, books)
+    check_room(space.shape, frame, link_states)
     begun = compile_clock.now()
     sorted_surfaces = ordered(surfaces)
     held = shared_geometry(sorted_surfaces, space)
@@ -139,14 +139,14 @@ def make_model(space: Space, surfaces: SurfaceSet, frame: Frame, search: str, bo
     return Model(space, frame, held.held, tables, roots, samples, borders, search, seconds)
 
 
-def check_room(shape: tuple[int, int, int], frame: Frame, books: int) -> None:
+def check_room(shape: tuple[int, int, int], frame: Frame, link_states: int) -> None:
     """Raise TooLarge for an array or a picture that this computer has no memory for; books: as of `make_model`."""
     pixels = frame.width * frame.height
     samples = pixels * frame.samples
     check_simulated_fits(
         shape,
         samples,
-        bytes_per_node=NODE_BYTES + books * BOOKS_BYTES,
+        bytes_per_node=NODE_BYTES + link_states * BOOKS_BYTES,
         fixed_bytes=samples * SAMPLE_BYTES + pixels * PIXEL_BYTES + 2 * FIRST_ROOM * RECORD_BYTES,
     )
 

@@ -27,7 +27,7 @@ HOST_DESCRIPTORS_A_NODE = 2  # the host's end of its line, and another one while
 NODE_TASKS = 3  # the node, and the two threads of its ZeroMQ context (measured)
 FIXED_TASKS = 3  # the nursery, and the host's two ZeroMQ threads
 NODE_BYTES = 14_000_000  # private memory of a node without surfaces
-NURSERY_BYTES = 200_000_000  # numba, LLVM and the kernels, once
+FORK_SERVER_BYTES = 200_000_000  # numba, LLVM and the kernels, once
 UNLIMITED = 1 << 62  # control groups of version 1 write "no limit" as a number of about this size
 
 # The files of a control group that hold the limit, what is used, and the line of memory.stat to take off that.
@@ -169,7 +169,7 @@ def _demands(found: Resources, bytes_per_node: int, surface_bytes: int) -> tuple
         Demand("descriptors in the host", HOST_DESCRIPTORS, HOST_DESCRIPTORS_A_NODE, found.descriptors),
         Demand("open files", HOST_DESCRIPTORS, HOST_DESCRIPTORS_A_NODE + NODE_DESCRIPTORS, found.all_files),
         Demand("processes and threads", FIXED_TASKS, NODE_TASKS, found.tasks),
-        Demand("of memory", NURSERY_BYTES + surface_bytes, bytes_per_node, found.memory, in_bytes=True),
+        Demand("of memory", FORK_SERVER_BYTES + surface_bytes, bytes_per_node, found.memory, in_bytes=True),
     )
 
 

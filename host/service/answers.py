@@ -90,7 +90,11 @@ class Answers:
     async def _do_probe(self, client: ClientConnection, request: ProbeMessage) -> Message:
         client.rate = request.rate
         self._service.set_rate()
-        return {"is": "probing", "array": list(self._service.options.shape), "rate": self._service.worker.keeper.rate}
+        return {
+            "is": "probing",
+            "array": list(self._service.options.shape),
+            "rate": self._service.worker.supervisor.rate,
+        }
 
     async def _do_reset(self, client: ClientConnection, request: Request) -> Message:
         done = asyncio.get_running_loop().create_future()
@@ -103,7 +107,7 @@ class Answers:
                 await done
         except TimeoutError:
             raise ArrayError(f"the array was not reset within {RESET_SECONDS:g} seconds") from None
-        return {"is": "reset", "nodes": self._service.worker.keeper.pids}
+        return {"is": "reset", "nodes": self._service.worker.supervisor.pids}
 
     async def _do_down(self, client: ClientConnection, request: DownMessage) -> Message:
         if request.cancel:
@@ -122,7 +126,7 @@ class Answers:
     async def facts(self) -> dict[str, Any]:
         """How the array is (docs/service.md)."""
         service = self._service
-        pids, shape = service.worker.keeper.pids, service.options.shape
+        pids, shape = service.worker.supervisor.pids, service.options.shape
         nodes = await asyncio.to_thread(service.samples.nodes, pids, shape)
         loads = [node["load"] for node in nodes if node["load"] is not None]
         schedule = service.jobs.schedule
@@ -143,8 +147,8 @@ class Answers:
             "queue": {"jobs": len(schedule.entries), "frames": schedule.frames_queued},
             "running": running,
             "frames": {name: service.counts[name] for name in ("done", "skipped", "failed")},
-            "floods": service.worker.keeper.floods,
-            "increments": service.worker.keeper.increments,
+            "floods": service.worker.supervisor.floods,
+            "increments": service.worker.supervisor.increments,
             "links": {"served_by": "python" if why_python() else "compiled", "why": why_python()},
             "resets": service.counts["resets"],
             "faults": {"count": service.fault_count, "last": list(service.faults)},

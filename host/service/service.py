@@ -113,7 +113,7 @@ class ArrayService:
 
     async def _sample(self) -> None:
         while True:
-            self.samples.take(self.worker.keeper.pids)
+            self.samples.take(self.worker.supervisor.pids)
             await asyncio.sleep(SAMPLE_SECONDS)
 
     async def _look_after(self) -> None:
@@ -270,7 +270,7 @@ class ArrayService:
 
     def set_rate(self) -> None:
         """Probe the array as often as the client wants that wants it most."""
-        self.worker.keeper.rate = max((client.rate for client in self.door.clients), default=0.0)
+        self.worker.supervisor.rate = max((client.rate for client in self.door.clients), default=0.0)
 
     def _hear_ended(self, event: Event) -> None:
         self._over.set()

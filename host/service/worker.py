@@ -101,7 +101,7 @@ class Worker(threading.Thread):
         self._task: Task | None = None
         self._told = 0.0
         self._noted: set[tuple[int, str]] = set()
-        self.keeper = ArraySupervisor(
+        self.supervisor = ArraySupervisor(
             options.shape,
             lambda what: post(Event("fault", self._task, {"what": what})),
             self._look,
@@ -112,7 +112,7 @@ class Worker(threading.Thread):
                 Event("warming", None, dict(zip(("done", "total", "what"), now, strict=True)))
             ),
         )
-        self.keeper.on_sample = lambda sample: post(Event("sample", None, {"sample": sample}))
+        self.supervisor.on_sample = lambda sample: post(Event("sample", None, {"sample": sample}))
         arguments = [str(options.journal), *map(str, options.shape), *["--outside"] * options.outside]
         self._scribe = Scribe(arguments, self._look)
         self._unswept = True  # whether frames may wait for a job that has ended
@@ -146,41 +146,41 @@ class Worker(threading.Thread):
         finally:
             self._ending = False  # or the array could not say goodbye
             self._scribe.close()
-            self.keeper.close()
+            self.supervisor.close()
             self._post(Event("ended"))
 
     def _launch(self) -> bool:
         try:
             self._scribe.start()
-            self.keeper.launch()
+            self.supervisor.launch()
             self._scribe.tell("warm")
         except Interrupted:
             return False
         except Exception as error:
             self._post(Event("broken", None, {"why": told(error)}))
             return False
-        self._post(Event("ready", None, {"pids": self.keeper.pids}))
+        self._post(Event("ready", None, {"pids": self.supervisor.pids}))
         return True
 
     def _serve(self) -> None:
         while not self._ending:
             try:
-                given = self._inbox.get(timeout=LOOK_SECONDS if self.keeper.there else LAUNCH_SECONDS)
+                given = self._inbox.get(timeout=LOOK_SECONDS if self.supervisor.there else LAUNCH_SECONDS)
             except queue.Empty:
                 if self._unswept:
                     self._scribe.tell("sweep")
                     self._unswept = False
-                self._repair(self.keeper.check)
+                self._repair(self.supervisor.check)
                 continue
             if isinstance(given, Task):
                 self._unswept = True
                 self._do(given)
-            elif given == "reset" and self._repair(self.keeper.reset):
+            elif given == "reset" and self._repair(self.supervisor.reset):
                 self._post(Event("reset"))
 
     def _repair(self, work: Callable[[], None]) -> bool:
         """Look after the array; whether it can be used."""
-        pids = self.keeper.pids
+        pids = self.supervisor.pids
         try:
             work()
         except Interrupted:
@@ -188,13 +188,13 @@ class Worker(threading.Thread):
         except Exception as error:
             self._post(Event("broken", None, {"why": told(error)}))
             return False
-        if self.keeper.pids not in ([], pids):
-            self._post(Event("ready", None, {"pids": self.keeper.pids}))
+        if self.supervisor.pids not in ([], pids):
+            self._post(Event("ready", None, {"pids": self.supervisor.pids}))
         return True
 
     def _do(self, task: Task) -> None:
         self._task, self._told = task, 0.0
-        pids = self.keeper.pids
+        pids = self.supervisor.pids
         try:
             self._look()
             self._post(Event("begun", task))
@@ -209,8 +209,8 @@ class Worker(threading.Thread):
         finally:
             self._task = None
         self._make_scribe()
-        if self.keeper.pids not in ([], pids):
-            self._post(Event("ready", None, {"pids": self.keeper.pids}))
+        if self.supervisor.pids not in ([], pids):
+            self._post(Event("ready", None, {"pids": self.supervisor.pids}))
         self._post(event)
 
     def _make_scribe(self) -> None:
@@ -260,7 +260,7 @@ class Worker(threading.Thread):
 
     def _picture(self, task: Task, ready: PreparedFrame) -> Picture:
         ready = replace(ready, job=replace(ready.job, add_missed=self._add_missed))
-        picture = self.keeper.render(ready, task.request.budget, self._watch(task, ready))
+        picture = self.supervisor.render(ready, task.request.budget, self._watch(task, ready))
         if (blank := picture.blank()) is not None:
             self._note(task, [blank if task.frame is None else f"frame {task.frame}: {blank}"])
         return picture

@@ -91,12 +91,12 @@ class Link:
         self.channel = channel
         self.name = name
         self.epoch = epoch
-        self._book = np.zeros(LINK_STATE, np.int64).data
+        self._link_state = np.zeros(LINK_STATE, np.int64).data
         self.state = LinkPhase.NEW
         self._identity = {**identity, "version": VERSION}
         self._peer = {**peer, "version": VERSION}
         self._heard = self._acknowledged = self._bye_heard = self._bye_answered = False
-        self._book[EPOCH] = epoch
+        self._link_state[EPOCH] = epoch
         # data without credit, and orders that the channel had no room for; to be looked at, not changed, from outside
         self.queued: deque[tuple[MessageKind, int, bytes]] = deque()
         self.urgent: deque[tuple[MessageKind, bytes]] = deque()
@@ -163,8 +163,11 @@ class Link:
 
     def grant(self, messages: int = 1) -> None:
         """Say that this many data messages from the peer have been processed."""
-        self._book[LINK_DATA_DONE] += messages
-        if self._book[LINK_DATA_DONE] - self._book[LINK_DATA_TOLD] >= WINDOW // 2 and self.state is LinkPhase.UP:
+        self._link_state[LINK_DATA_DONE] += messages
+        if (
+            self._link_state[LINK_DATA_DONE] - self._link_state[LINK_DATA_TOLD] >= WINDOW // 2
+            and self.state is LinkPhase.UP
+        ):
             self._post(MessageKind.CREDIT, b"")
 
     def give_up(self) -> None:
@@ -190,14 +193,14 @@ class Link:
         self.most_waiting_bytes = max(self.most_waiting_bytes, self._waiting_bytes)
 
     def _may_send_data(self) -> bool:
-        return self.state == LinkPhase.UP and self._book[LINK_DATA_SENT] - self._book[CREDIT] < WINDOW
+        return self.state == LinkPhase.UP and self._link_state[LINK_DATA_SENT] - self._link_state[CREDIT] < WINDOW
 
     def _header(self, kind: MessageKind, count: int) -> tuple[int, int, int, int, int]:
         return (
             int(kind),
             self.epoch,
-            self._book[LINK_SENT] & 0xFFFFFFFF,
-            self._book[LINK_DATA_DONE] & 0xFFFFFFFF,
+            self._link_state[LINK_SENT] & 0xFFFFFFFF,
+            self._link_state[LINK_DATA_DONE] & 0xFFFFFFFF,
             count,
         )
 
@@ -213,11 +216,11 @@ class Link:
         return True
 
     def _count_sent(self, size: int, data: bool) -> None:
-        self._book[LINK_SENT] += 1
-        self._book[LINK_DATA_SENT] += data
-        self._book[LINK_DATA_TOLD] = self._book[LINK_DATA_DONE]
-        self._book[MESSAGES_SENT] += 1
-        self._book[BYTES_SENT] += size
+        self._link_state[LINK_SENT] += 1
+        self._link_state[LINK_DATA_SENT] += data
+        self._link_state[LINK_DATA_TOLD] = self._link_state[LINK_DATA_DONE]
+        self._link_state[MESSAGES_SENT] += 1
+        self._link_state[BYTES_SENT] += size
 
     # --- receiving -------------------------------------------------------------------------------
 
@@ -247,21 +250,21 @@ class Link:
         return None
 
     def _check_order(self, sequence: int, kind: MessageKind) -> None:
-        if sequence != self._book[LINK_RECEIVED] & 0xFFFFFFFF:
+        if sequence != self._link_state[LINK_RECEIVED] & 0xFFFFFFFF:
             raise ProtocolError(
-                f"link {self.name}: message {sequence} ({kind.name}) came, wanted {self._book[LINK_RECEIVED]}: "
+                f"link {self.name}: message {sequence} ({kind.name}) came, wanted {self._link_state[LINK_RECEIVED]}: "
                 "messages were lost, doubled or out of order"
             )
-        self._book[LINK_RECEIVED] += 1
+        self._link_state[LINK_RECEIVED] += 1
 
     def _take_credit(self, credit: int) -> None:
-        gained = (credit - self._book[CREDIT]) & 0xFFFFFFFF
-        if gained > self._book[LINK_DATA_SENT] - self._book[CREDIT]:
+        gained = (credit - self._link_state[CREDIT]) & 0xFFFFFFFF
+        if gained > self._link_state[LINK_DATA_SENT] - self._link_state[CREDIT]:
             raise ProtocolError(
-                f"link {self.name}: the peer says it has processed {credit} messages, {self._book[LINK_DATA_SENT]} were sent"
+                f"link {self.name}: the peer says it has processed {credit} messages, {self._link_state[LINK_DATA_SENT]} were sent"
             )
         if gained:
-            self._book[CREDIT] += gained
+            self._link_state[CREDIT] += gained
             self.push()
 
     def _is_for_link(self, kind: MessageKind, message: bytes) -> bool:
@@ -318,10 +321,10 @@ class Link:
         if self._bye_heard and self._bye_answered and not self.urgent:
             self.state = LinkPhase.CLOSED
 
-    def keep_book(self, row: NDArray[np.int64]) -> None:
+    def share_state(self, row: NDArray[np.int64]) -> None:
         """Keep the book in this row, int64 (BOOK,), from now on."""
-        row[:] = self._book
-        self._book = row.data
+        row[:] = self._link_state
+        self._link_state = row.data
 
     @property
     def regular(self) -> bool:
@@ -331,32 +334,32 @@ class Link:
     @property
     def messages_sent(self) -> int:
         """Messages that were sent so far."""
-        return self._book[MESSAGES_SENT]
+        return self._link_state[MESSAGES_SENT]
 
     @property
     def bytes_sent(self) -> int:
         """Bytes that were sent so far."""
-        return self._book[BYTES_SENT]
+        return self._link_state[BYTES_SENT]
 
     @property
     def data_sent(self) -> int:
         """Messages with packets or surfaces that were sent so far."""
-        return self._book[LINK_DATA_SENT]
+        return self._link_state[LINK_DATA_SENT]
 
     @property
     def data_done(self) -> int:
         """Messages with packets or surfaces from the peer that were processed so far."""
-        return self._book[LINK_DATA_DONE]
+        return self._link_state[LINK_DATA_DONE]
 
     @property
     def sent(self) -> int:
         """Messages that were sent so far, and so the sequence number of the next one."""
-        return self._book[LINK_SENT]
+        return self._link_state[LINK_SENT]
 
     @property
     def received(self) -> int:
         """Messages that came so far."""
-        return self._book[LINK_RECEIVED]
+        return self._link_state[LINK_RECEIVED]
 
     @property
     def peer_left(self) -> bool:

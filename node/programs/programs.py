@@ -206,14 +206,14 @@ def _linked(program: Program, file: Path) -> Compiled:
     into = _again(program, "programs.hooks", {})
     into.update({hook: own[hook] for hook in program.hooks})
     traverse = _again(program, "tracing.traverse", {"_meet": into["_meet"]})
-    taken = {name: into[name] for name in ("normals", "_bear_shadows", "edge_colour")}
+    taken = {name: into[name] for name in ("normals", "_spawn_shadows", "edge_colour")}
     step = _again(
         program, "tracing.step", taken | {name: traverse[name] for name in ("closest_below", "blocked_below")}
     )
     misses = _again(program, "tracing.background", {"edge_colour": into["edge_colour"]})
     turn = _again(program, "tracing.batch", {"step": step["step"]})
-    rounds = _again(program, "runtime.event_loop", {"turn": turn["turn"]})
-    return Compiled(program, rounds["go"], misses["add_missed"])
+    rounds = _again(program, "runtime.event_loop", {"run_batch": turn["run_batch"]})
+    return Compiled(program, rounds["run_loop"], misses["add_missed"])
 
 
 def _again(program: Program, name: str, instead: dict[str, Any]) -> dict[str, Any]:

@@ -94,9 +94,11 @@ def read_stamped(message: bytes, count: int) -> Stamped:
     return Stamped(frame, promise, ticks, HEAD + STAMP.size + 8 * count)
 
 
-def pack_lookahead(enquiry: LookaheadRequest) -> bytes:
+def pack_lookahead(lookahead_request: LookaheadRequest) -> bytes:
     """The payload of an LOOKAHEAD message."""
-    return LOOKAHEAD.pack(enquiry.frame, enquiry.answer, *enquiry.origin, *enquiry[3:])
+    return LOOKAHEAD.pack(
+        lookahead_request.frame, lookahead_request.answer, *lookahead_request.origin, *lookahead_request[3:]
+    )
 
 
 def read_lookahead(message: bytes) -> LookaheadRequest:

@@ -86,17 +86,21 @@ _REDUCE, _REDUCED = int(MessageKind.TALLY), int(MessageKind.TALLIED)
 
 
 @part
-def _is_in_turn(wires, book, raw, first, size):
+def _is_in_turn(native, link_state, raw, first, size):
     """Whether a message is the next one of a link in this epoch, whole and believable."""
-    if raw[1] != 0 or read_u16(raw, 2) != book[EPOCH] or read_u32(raw, 4) != book[LINK_RECEIVED] & 0xFFFFFFFF:
+    if (
+        raw[1] != 0
+        or read_u16(raw, 2) != link_state[EPOCH]
+        or read_u32(raw, 4) != link_state[LINK_RECEIVED] & 0xFFFFFFFF
+    ):
         return False
-    if (read_u32(raw, 8) - book[CREDIT]) & 0xFFFFFFFF > book[LINK_DATA_SENT] - book[CREDIT]:
+    if (read_u32(raw, 8) - link_state[CREDIT]) & 0xFFFFFFFF > link_state[LINK_DATA_SENT] - link_state[CREDIT]:
         return False
-    return read_u32(raw, SUMMED) == checksum(wires, first, size)
+    return read_u32(raw, SUMMED) == checksum(native, first, size)
 
 
 @part
-def _is_regular(wires, port, raw, size):
+def _is_regular(native, port, raw, size):
     """Whether a message is one that is dealt with here, and as long as its kind is."""
     kind, count, payload = np.int64(raw[0]), read_u32(raw, 12), size - HEAD
     if kind == _PACKETS:
@@ -104,9 +108,9 @@ def _is_regular(wires, port, raw, size):
     if count != 0:
         return False
     if kind == _REDUCE:
-        return payload == REQUEST_BYTES and reduction.may_begin(wires.tally, port, raw)
+        return payload == REQUEST_BYTES and reduction.may_begin(native.reduction_state, port, raw)
     if kind == _REDUCED:
-        return payload == REPLY_BYTES and reduction.may_take_reply(wires.tally, port, raw)
+        return payload == REPLY_BYTES and reduction.may_take_reply(native.reduction_state, port, raw)
     return kind == _CREDIT and payload == 0
 
 
@@ -115,7 +119,7 @@ def _take_packets(raw, count, port, bounds, stacks, held):
     """Put all packets of a message on the stacks, or none if one is bad or there is no room; whether it was done."""
     if count > min(len(stacks.ray_ports) - held[RAYS], len(stacks.shadow_ports) - held[SHADOWS]):
         return False
-    if count > len(stacks.traveller_ports) - held[IN_TRANSIT]:
+    if count > len(stacks.transit_ports) - held[IN_TRANSIT]:
         return False
     before = (held[0], held[1], held[2], held[3])
     _, bad = sort(raw, count, port, bounds, stacks, held)
@@ -125,21 +129,21 @@ def _take_packets(raw, count, port, bounds, stacks, held):
 
 
 @part
-def _take_reduction(wires, port, raw):
+def _take_reduction(native, port, raw):
     """Take in a message of a tally."""
     if np.int64(raw[0]) == _REDUCE:
-        reduction.begin_reduction(wires.tally, raw, clock(wires, MONOTONIC))
+        reduction.begin_reduction(native.reduction_state, raw, clock(native, MONOTONIC))
     else:
-        reduction.take_reply(wires.tally, port, raw)
+        reduction.take_reply(native.reduction_state, port, raw)
 
 
 @part
-def _receive(wires, port, bounds, stacks, held):
+def _receive(native, port, bounds, stacks, held):
     """Take in what has come over a link; whether that was all: False if the last message is one for Python."""
-    book, calls = wires.books[port], wires.calls
+    link_state, calls = native.link_states[port], native.calls
     while True:
         message = calls[zmq_c_api.MESSAGE]
-        if call_int(calls[zmq_c_api.ZMQ_RECEIVE], (message, book[SOCKET], np.int64(NOBLOCK))) < 0:
+        if call_int(calls[zmq_c_api.ZMQ_RECEIVE], (message, link_state[SOCKET], np.int64(NOBLOCK))) < 0:
             return call_int(calls[zmq_c_api.ZMQ_ERROR], ()) == calls[zmq_c_api.ZMQ_AGAIN]
         first, size = (
             call_long(calls[zmq_c_api.ZMQ_DATA], (message,)),
@@ -148,37 +152,37 @@ def _receive(wires, port, bounds, stacks, held):
         if size < HEAD or call_int(calls[zmq_c_api.ZMQ_MORE], (message,)) != 0:
             return False
         raw = bytes_at(first, size)
-        if not _is_regular(wires, port, raw, size) or not _is_in_turn(wires, book, raw, first, size):
+        if not _is_regular(native, port, raw, size) or not _is_in_turn(native, link_state, raw, first, size):
             return False
         count = read_u32(raw, 12)
         if count > 0 and not _take_packets(raw, count, port, bounds, stacks, held):
             return False
-        book[LINK_RECEIVED] += 1
-        book[CREDIT] += (read_u32(raw, 8) - book[CREDIT]) & 0xFFFFFFFF
+        link_state[LINK_RECEIVED] += 1
+        link_state[CREDIT] += (read_u32(raw, 8) - link_state[CREDIT]) & 0xFFFFFFFF
         if count > 0:
-            book[LINK_DATA_DONE] += 1
-            if book[LINK_DATA_DONE] - book[LINK_DATA_TOLD] >= WINDOW // 2:
-                post(wires, book, _CREDIT, 0, wires.header, 0, np.int64(HEAD))
+            link_state[LINK_DATA_DONE] += 1
+            if link_state[LINK_DATA_DONE] - link_state[LINK_DATA_TOLD] >= WINDOW // 2:
+                post(native, link_state, _CREDIT, 0, native.header, 0, np.int64(HEAD))
         elif size > HEAD:
-            _take_reduction(wires, port, raw)
+            _take_reduction(native, port, raw)
 
 
 # --- sending -------------------------------------------------------------------------------------------
 
 
 @part
-def _send(wires, port, outputs, least, batch):
+def _send(native, port, outputs, least, batch):
     """Send what an output holds, `batch` packets a message, until it holds fewer than `least`; whether it then does.
 
     What could not go stays, and a rest that is worth no message of its own.
     """
-    book, row, sent = wires.books[port], outputs.data[port], np.int64(0)
-    while outputs.held[port] - sent >= least and book[LINK_DATA_SENT] - book[CREDIT] < WINDOW:
+    link_state, row, sent = native.link_states[port], outputs.data[port], np.int64(0)
+    while outputs.held[port] - sent >= least and link_state[LINK_DATA_SENT] - link_state[CREDIT] < WINDOW:
         many = min(batch, outputs.held[port] - sent)
         # the header of a later message takes the place of bytes that were sent
-        if not post(wires, book, _PACKETS, many, row, sent * SIZE, HEAD + many * SIZE):
+        if not post(native, link_state, _PACKETS, many, row, sent * SIZE, HEAD + many * SIZE):
             break
-        book[LINK_DATA_SENT] += 1
+        link_state[LINK_DATA_SENT] += 1
         sent += many
     if sent > 0:
         for k in range(HEAD, HEAD + (outputs.held[port] - sent) * SIZE):
@@ -188,14 +192,14 @@ def _send(wires, port, outputs, least, batch):
 
 
 @part
-def _send_all(wires, outputs, least, pressed, batch):
+def _send_all(native, outputs, least, pressed, batch):
     """Send the outputs with `least` packets or more; whether Python is needed: for an output that is not for this code,
     and where something could not go and that cannot wait (pressed)."""
     needed = False
     for port in range(LINKS):
         if outputs.held[port] >= least:
-            wired = wires.books[port, REGULAR] != 0
-            if not wired or (not _send(wires, port, outputs, least, batch) and pressed):
+            link_table = native.link_states[port, REGULAR] != 0
+            if not link_table or (not _send(native, port, outputs, least, batch) and pressed):
                 needed = True
     return needed
 
@@ -204,48 +208,48 @@ def _send_all(wires, outputs, least, pressed, batch):
 
 
 @part
-def _tell_children(wires):
+def _tell_children(native):
     """Hand a tally on to those children that have not been told yet; whether all have."""
-    one, state = wires.tally, wires.tally.state
+    one, state = native.reduction_state, native.reduction_state.state
     if state[TO_NOTIFY] == 0:
         return True
     for k in range(reduction.REQUEST_FIELDS):
         reduction.put_word(one.room, k, one.order[k])
     for port in range(LINKS):
         if (state[TO_NOTIFY] >> port) & 1 != 0:
-            if not post(wires, wires.books[port], _REDUCE, 0, one.room, 0, np.int64(HEAD + REQUEST_BYTES)):
+            if not post(native, native.link_states[port], _REDUCE, 0, one.room, 0, np.int64(HEAD + REQUEST_BYTES)):
                 return False
             state[TO_NOTIFY] &= ~(1 << port)
     return True
 
 
 @part
-def _reply(wires, idle, quota, cursor, held, outputs, counts):
+def _reply(native, idle, quota, cursor, held, outputs, counts):
     """Answer a tally if it is time for that; whether Python is needed for it."""
-    state = wires.tally.state
-    if not reduction.waits_for_node(wires.tally):
+    state = native.reduction_state.state
+    if not reduction.waits_for_node(native.reduction_state):
         return False
-    if not (idle and state[PYTHON_BUSY] == 0) and clock(wires, MONOTONIC) < state[DEADLINE]:
+    if not (idle and state[PYTHON_BUSY] == 0) and clock(native, MONOTONIC) < state[DEADLINE]:
         return False
     sent, done = np.int64(0), np.int64(0)
     for port in range(LINKS):
-        sent += wires.books[port, LINK_DATA_SENT]
-        done += wires.books[port, LINK_DATA_DONE]
-    reduction.put_reply(wires.tally, quota, cursor, held, outputs, counts, sent, done)
-    book, size = wires.books[state[PARENT_PORT]], np.int64(HEAD + REPLY_BYTES)
-    if not post(wires, book, _REDUCED, 0, wires.tally.room, 0, size):
+        sent += native.link_states[port, LINK_DATA_SENT]
+        done += native.link_states[port, LINK_DATA_DONE]
+    reduction.put_reply(native.reduction_state, quota, cursor, held, outputs, counts, sent, done)
+    link_state, size = native.link_states[state[PARENT_PORT]], np.int64(HEAD + REPLY_BYTES)
+    if not post(native, link_state, _REDUCED, 0, native.reduction_state.room, 0, size):
         return True
     state[PENDING] = 0
     return False
 
 
 @part
-def _serve_reduction(wires, quota, pace):
+def _serve_reduction(native, quota, tuning):
     """Do what a tally orders that has just come; the quota."""
-    order = wires.tally.order
-    pace[TUNE_LEAST], pace[TUNE_BACK_OFF] = order[BATCH_THRESHOLD], order[reduction.BACK_OFF] // BACK_OFFS
-    pace[TUNE_FLUSH] = min(order[reduction.FLUSH_PACKETS], pace[TUNE_BATCH])
-    wires.tally.state[FRESH] = 0
+    order = native.reduction_state.order
+    tuning[TUNE_LEAST], tuning[TUNE_BACK_OFF] = order[BATCH_THRESHOLD], order[reduction.BACK_OFF] // BACK_OFFS
+    tuning[TUNE_FLUSH] = min(order[reduction.FLUSH_PACKETS], tuning[TUNE_BATCH])
+    native.reduction_state.state[FRESH] = 0
     return max(quota, order[QUOTA])
 
 
@@ -253,40 +257,42 @@ def _serve_reduction(wires, quota, pace):
 
 
 @part
-def _count_time(wires, place, since):
+def _count_time(native, place, since):
     """Count the nanoseconds of this thread since then for a place in `spent`; now. Nothing unless rounds are timed."""
-    if wires.spent[TIMED] == 0:
+    if native.spent[TIMED] == 0:
         return since
-    now = clock(wires, OF_THREAD)
+    now = clock(native, OF_THREAD)
     if place >= 0:
-        wires.spent[place] += now - since
+        native.spent[place] += now - since
     return now
 
 
 @part
-def _receive_all(wires, bounds, stacks, held):
+def _receive_all(native, bounds, stacks, held):
     """Take in what has come over all links; -1, or the port of a link with a message for Python."""
     for port in range(LINKS):
-        if wires.books[port, REGULAR] != 0 and not _receive(wires, port, bounds, stacks, held):
+        if native.link_states[port, REGULAR] != 0 and not _receive(native, port, bounds, stacks, held):
             return port
     return -1
 
 
 @part
-def _wait(wires):
+def _wait(native):
     """Wait until something comes; whether it came over links that are for this code, and over these only."""
-    n = len(wires.items)
-    if call_int(wires.calls[zmq_c_api.ZMQ_POLL], (address(wires.items, np.int64(0)), np.int64(n), np.int64(-1))) <= 0:
+    n = len(native.items)
+    if call_int(native.calls[zmq_c_api.ZMQ_POLL], (address(native.items, np.int64(0)), np.int64(n), np.int64(-1))) <= 0:
         return False
     for k in range(n):
-        port = wires.ports[k]
-        if wires.items[k, 1] >> 48 != 0 and (port < 0 or wires.books[port, REGULAR] == 0):
+        port = native.ports[k]
+        if native.items[k, 1] >> 48 != 0 and (port < 0 or native.link_states[port, REGULAR] == 0):
             return False
     return True
 
 
 @lean
-def run_loop(cell, space, frame, surfaces, pixels, cursor, quota, pace, bounds, stacks, held, outputs, counts, wires):
+def run_loop(
+    cell, space, frame, surfaces, pixels, cursor, quota, tuning, bounds, stacks, held, outputs, counts, native
+):
     """Go rounds until nothing is left to do, or for a reason above. Returns (quota left, why).
 
     pace    int64 (PACE,). TUNE_AFTER, TUNE_BELOW, TUNE_AT_ONCE: of `run_batch`; TUNE_FLUSH: packets for which an output is sent while there is
@@ -296,45 +302,45 @@ def run_loop(cell, space, frame, surfaces, pixels, cursor, quota, pace, bounds, 
     bounds  int64, the fields of `Limits`
     Without wires it is one turn. The other arguments are those of `run_batch`.
     """
-    served, naps, since, wired = 0, BACK_OFFS, _count_time(wires, -1, 0), False
+    served, naps, since, link_table = 0, BACK_OFFS, _count_time(native, -1, 0), False
     for port in range(LINKS):
-        wired = wired or wires.books[port, REGULAR] != 0
+        link_table = link_table or native.link_states[port, REGULAR] != 0
     while True:
-        odd = _receive_all(wires, bounds, stacks, held)
-        if wires.tally.state[FRESH] != 0:
-            quota = _serve_reduction(wires, quota, pace)
-        told = _tell_children(wires)
-        since = _count_time(wires, RECEIVING, since)
+        odd = _receive_all(native, bounds, stacks, held)
+        if native.reduction_state.state[FRESH] != 0:
+            quota = _serve_reduction(native, quota, tuning)
+        told = _tell_children(native)
+        since = _count_time(native, RECEIVING, since)
         if odd >= 0:
             return quota, PYTHON_RECEIVES + odd
         if not told:
             return quota, PYTHON_SENDS
         waiting = held[IN_TRANSIT] + held[SHADOWS] + held[RAYS]
         if quota == 0 or cursor[DONE] != 0:
-            drowsy = wired and 0 < waiting < pace[TUNE_LEAST] and naps > 0
+            drowsy = link_table and 0 < waiting < tuning[TUNE_LEAST] and naps > 0
             if waiting == 0 or drowsy:
-                needed = _send_all(wires, outputs, BACK_OFF_FLUSH if drowsy else 1, True, pace[TUNE_BATCH])
-                needed = needed or _reply(wires, not drowsy, quota, cursor, held, outputs, counts)
-                since = _count_time(wires, SENDING, since)
+                needed = _send_all(native, outputs, BACK_OFF_FLUSH if drowsy else 1, True, tuning[TUNE_BATCH])
+                needed = needed or _reply(native, not drowsy, quota, cursor, held, outputs, counts)
+                since = _count_time(native, SENDING, since)
                 if needed:
                     return quota, PYTHON_SENDS
                 if drowsy:
                     naps -= 1
-                elif pace[TUNE_WAIT] == 0 or not wired or not _wait(wires):
+                elif tuning[TUNE_WAIT] == 0 or not link_table or not _wait(native):
                     return quota, BATCH_IDLE
-                if pace[TUNE_LEAST] > 0 and pace[TUNE_BACK_OFF] > 0:
-                    call_int(wires.calls[zmq_c_api.SLEEP], (np.int64(pace[TUNE_BACK_OFF]),))
+                if tuning[TUNE_LEAST] > 0 and tuning[TUNE_BACK_OFF] > 0:
+                    call_int(native.calls[zmq_c_api.SLEEP], (np.int64(tuning[TUNE_BACK_OFF]),))
                 continue
         naps = BACK_OFFS
         quota, why, done = run_batch(
-            cell, space, frame, surfaces, pixels, cursor, quota, pace, stacks, held, outputs, counts
+            cell, space, frame, surfaces, pixels, cursor, quota, tuning, stacks, held, outputs, counts
         )
-        since = _count_time(wires, TURNING, since)
-        if not wired or why == BATCH_CROWDED:
+        since = _count_time(native, TURNING, since)
+        if not link_table or why == BATCH_CROWDED:
             return quota, why
-        needed = _send_all(wires, outputs, pace[TUNE_FLUSH], why == BATCH_FULL, pace[TUNE_BATCH])
-        needed = needed or _reply(wires, False, quota, cursor, held, outputs, counts)
-        since = _count_time(wires, SENDING, since)
+        needed = _send_all(native, outputs, tuning[TUNE_FLUSH], why == BATCH_FULL, tuning[TUNE_BATCH])
+        needed = needed or _reply(native, False, quota, cursor, held, outputs, counts)
+        since = _count_time(native, SENDING, since)
         served += max(done, LEAST_PASS)
-        if needed or served >= pace[TUNE_RETURN]:
+        if needed or served >= tuning[TUNE_RETURN]:
             return quota, PYTHON_SENDS if needed else BATCH_LONG

@@ -24,7 +24,7 @@ class NativeLinkTable:
         self,
         links: Mapping[int, Link],
         pairs: Mapping[int, ZmqChannel],
-        tally: Reduction,
+        reduction_state: Reduction,
         others: Iterable[int] = (),
         timed: bool = False,
     ) -> None:
@@ -32,39 +32,39 @@ class NativeLinkTable:
 
         tally  of the node; others  descriptors for which a node waits as well; timed  let the rounds be timed
         """
-        self.wires = no_native_links(tally)
+        self.native = no_native_links(reduction_state)
         self._links: dict[int, Link] = {}
         self._pairs = pairs
         self._message: zmq_c_api.ReceivedMessage | None = None
         calls = zmq_c_api.find_functions()
         if calls is None:
             return
-        self.wires.calls[:] = calls
-        self.wires.spent[TIMED] = timed
-        self._message = zmq_c_api.ReceivedMessage(self.wires.calls)
+        self.native.calls[:] = calls
+        self.native.spent[TIMED] = timed
+        self._message = zmq_c_api.ReceivedMessage(self.native.calls)
         for port, link in links.items():
             if link.channel is pairs.get(port):
-                link.keep_book(self.wires.books[port])
-                self.wires.books[port, SOCKET] = pairs[port].socket.underlying
+                link.share_state(self.native.link_states[port])
+                self.native.link_states[port, SOCKET] = pairs[port].socket.underlying
                 self._links[port] = link
         items = zmq_c_api.poll_items([int(pair.socket.underlying) for pair in pairs.values()], others)
         ports = [port if port in self._links else -1 for port in pairs]
-        self.wires = self.wires._replace(
+        self.native = self.native._replace(
             items=items, ports=np.array(ports + [-1] * (len(items) - len(ports)), np.int64)
         )
 
-    def begin(self, tallies: bool, occupied: bool) -> None:
+    def begin(self, reductions: bool, occupied: bool) -> None:
         """Before rounds: mark the links that are regular, and whether compiled code may take care of tallies.
 
         tallies   whether Python leaves them to it, if their links are regular; occupied  as in `Reduction`
         """
         regular = 0
         for port, link in self._links.items():
-            self.wires.books[port, REGULAR] = link.regular
+            self.native.link_states[port, REGULAR] = link.regular
             regular |= link.regular << port
-        state = self.wires.tally.state
+        state = self.native.reduction_state.state
         wanted = int(state[CHILD_PORTS]) | 1 << int(state[PARENT_PORT])
-        state[COMPILED_SERVES], state[PYTHON_BUSY] = tallies and regular & wanted == wanted, occupied
+        state[COMPILED_SERVES], state[PYTHON_BUSY] = reductions and regular & wanted == wanted, occupied
 
     def end(self, why: int) -> int | None:
         """After rounds that ended for this reason: the port of a link of which Python must receive, if there is one."""
@@ -94,7 +94,7 @@ class NativeLinkTable:
     def close(self) -> None:
         """Serve no link any more."""
         self._links = {}
-        self.wires.books[:, REGULAR] = 0
+        self.native.link_states[:, REGULAR] = 0
         if self._message is not None:
             self._message.close()
             self._message = None

@@ -52,54 +52,56 @@ class NativeLinks(NamedTuple):
     tally   the tally that is under way
     """
 
-    books: NDArray[np.int64]
+    link_states: NDArray[np.int64]
     calls: NDArray[np.int64]
     spent: NDArray[np.int64]
     header: NDArray[np.uint8]
     items: NDArray[np.int64]
     ports: NDArray[np.int64]
-    tally: Reduction
+    reduction_state: Reduction
 
 
-def no_native_links(tally: Reduction | None = None) -> NativeLinks:
+def no_native_links(reduction_state: Reduction | None = None) -> NativeLinks:
     """Of a node whose links are served by Python alone."""
-    books, calls, spent = (
+    link_states, calls, spent = (
         np.zeros((LINKS, LINK_STATE), np.int64),
         np.zeros(zmq_c_api.ADDRESSES, np.int64),
         np.zeros(SPENT, np.int64),
     )
     nothing = np.zeros(HEAD, np.uint8), np.zeros((0, 2), np.int64), np.zeros(0, np.int64)
-    return NativeLinks(books, calls, spent, *nothing, make_reduction() if tally is None else tally)
+    return NativeLinks(
+        link_states, calls, spent, *nothing, make_reduction() if reduction_state is None else reduction_state
+    )
 
 
 @part
-def clock(wires, which):
+def clock(native, which):
     """Nanoseconds by one of the clocks of `clock_gettime`."""
-    call_int(wires.calls[zmq_c_api.CLOCK], (np.int64(which), address(wires.spent, np.int64(SECONDS))))
-    return wires.spent[SECONDS] * BILLION + wires.spent[NANOSECONDS]
+    call_int(native.calls[zmq_c_api.CLOCK], (np.int64(which), address(native.spent, np.int64(SECONDS))))
+    return native.spent[SECONDS] * BILLION + native.spent[NANOSECONDS]
 
 
 @part
-def checksum(wires, first, size):
+def checksum(native, first, size):
     """The checksum of a message (`node.protocol.messages`) from its first address on."""
-    seed = call_long(wires.calls[zmq_c_api.HASH], (first, np.int64(SUMMED), np.int64(0)))
-    return call_long(wires.calls[zmq_c_api.HASH], (first + HEAD, size - HEAD, seed)) & 0xFFFFFFFF
+    seed = call_long(native.calls[zmq_c_api.HASH], (first, np.int64(SUMMED), np.int64(0)))
+    return call_long(native.calls[zmq_c_api.HASH], (first + HEAD, size - HEAD, seed)) & 0xFFFFFFFF
 
 
 @part
-def post(wires, book, kind, count, raw, at, size):
+def post(native, link_state, kind, count, raw, at, size):
     """Write the header of a message of `size` bytes that begins at `at`, and send it; whether it went."""
     raw[at], raw[at + 1] = kind, 0
-    write(raw, at + 2, book[EPOCH], 2)
-    write(raw, at + 4, book[LINK_SENT], 4)
-    write(raw, at + 8, book[LINK_DATA_DONE], 4)
+    write(raw, at + 2, link_state[EPOCH], 2)
+    write(raw, at + 4, link_state[LINK_SENT], 4)
+    write(raw, at + 8, link_state[LINK_DATA_DONE], 4)
     write(raw, at + 12, count, 4)
     first = address(raw, np.int64(at))
-    write(raw, at + SUMMED, checksum(wires, first, size), 4)
-    if call_int(wires.calls[zmq_c_api.ZMQ_SEND], (book[SOCKET], first, size, np.int64(NOBLOCK))) < 0:
+    write(raw, at + SUMMED, checksum(native, first, size), 4)
+    if call_int(native.calls[zmq_c_api.ZMQ_SEND], (link_state[SOCKET], first, size, np.int64(NOBLOCK))) < 0:
         return False
-    book[LINK_SENT] += 1
-    book[LINK_DATA_TOLD] = book[LINK_DATA_DONE]
-    book[MESSAGES_SENT] += 1
-    book[BYTES_SENT] += size
+    link_state[LINK_SENT] += 1
+    link_state[LINK_DATA_TOLD] = link_state[LINK_DATA_DONE]
+    link_state[MESSAGES_SENT] += 1
+    link_state[BYTES_SENT] += size
     return True

@@ -66,15 +66,19 @@ class NodeState:
         self.program: Compiled | None = None
         self.ready: Compiled | None = None  # a program that is to be used next
         self._go = run_loop
-        self.wires = no_native_links()
-        self.pace = np.zeros(TUNING, np.int64)
-        self.pace[TUNE_AFTER], self.pace[TUNE_BELOW], self.pace[TUNE_AT_ONCE] = BATCH_RAYS, ADMIT_BELOW, ADMIT_AT_ONCE
-        self.pace[TUNE_FLUSH] = self.pace[TUNE_BATCH] = USUAL_FLUSH
-        self.pace[TUNE_RETURN] = LOOP_PACKETS
+        self.native = no_native_links()
+        self.tuning = np.zeros(TUNING, np.int64)
+        self.tuning[TUNE_AFTER], self.tuning[TUNE_BELOW], self.tuning[TUNE_AT_ONCE] = (
+            BATCH_RAYS,
+            ADMIT_BELOW,
+            ADMIT_AT_ONCE,
+        )
+        self.tuning[TUNE_FLUSH] = self.tuning[TUNE_BATCH] = USUAL_FLUSH
+        self.tuning[TUNE_RETURN] = LOOP_PACKETS
         self._stale = False  # whether what is retained has changed since the tables were made
         self._built_cost = 0.0  # expected cost of the hierarchy when it was built, 0: not worked out
         self.surfaces = empty_surfaces()
-        self.backlog = WorkQueues()
+        self.work_queues = WorkQueues()
         self._crowded = False  # whether a stack had no room in the last turn
         self.outputs = make_outputs(OUTPUT_ROOM, DEPTH)
         self.counts = np.zeros(COUNTS, np.int64)
@@ -153,7 +157,7 @@ class NodeState:
         self._drop_frame()
         self.quota, self.collecting, self.samples_left = 0, -1, False
         clear(self.outputs)
-        self.backlog.clear()
+        self.work_queues.clear()
 
     def _drop_frame(self) -> None:
         self._spare_pixels = self.pixels or self._spare_pixels
@@ -170,7 +174,7 @@ class NodeState:
             raise ProtocolError(f"a frame came with {len(frame.materials)} materials, a surface here has number {most}")
         self.forget_frame()
         self.frame, self.limits = frame, frame_limits(frame, self.shape)
-        self.backlog.set_limits(self.limits)
+        self.work_queues.set_limits(self.limits)
         self.pixels, self._spare_pixels = make_pixels(frame, self.space, self.cell, self._spare_pixels), None
         self.cursor = new_cursor(len(self.pixels.first) > 0)
         self.samples_left = len(self.pixels.first) > 0
@@ -184,7 +188,7 @@ class NodeState:
     @property
     def has_work(self) -> bool:
         """Whether `work` would do anything."""
-        return self.backlog.held > 0 or (self.quota > 0 and self.samples_left) or self.collecting >= 0
+        return self.work_queues.held > 0 or (self.quota > 0 and self.samples_left) or self.collecting >= 0
 
     def work(self, wait: bool = False) -> int:
         """Go rounds over the links and the most urgent packets (`node.runtime.event_loop`), and send pixels if none wait.
@@ -194,11 +198,11 @@ class NodeState:
         """
         if self.frame is None:
             return BATCH_IDLE
-        backlog = self.backlog
+        work_queues = self.work_queues
         if self._crowded:
             births = PORTION * max(self.frame.n_lights, 2)
-            backlog.make_room(0, births, max(births, ADMIT_AT_ONCE))
-        self.pace[TUNE_WAIT] = wait
+            work_queues.make_room(0, births, max(births, ADMIT_AT_ONCE))
+        self.tuning[TUNE_WAIT] = wait
         self.quota, why = self._go(
             self.cell,
             self.space,
@@ -207,17 +211,17 @@ class NodeState:
             self.pixels,
             self.cursor,
             self.quota,
-            self.pace,
-            backlog.bounds,
-            backlog.stacks,
-            backlog.count,
+            self.tuning,
+            work_queues.bounds,
+            work_queues.stacks,
+            work_queues.count,
             self.outputs,
             self.counts,
-            self.wires,
+            self.native,
         )
         self._crowded = why == BATCH_CROWDED
         self.samples_left = self.samples_left and int(self.cursor[DONE]) == 0
-        if self.collecting >= 0 and backlog.held == 0:
+        if self.collecting >= 0 and work_queues.held == 0:
             self._send_pixels()
         return int(why)
 
@@ -252,7 +256,7 @@ class NodeState:
         return {
             "surfaces": surfaces + described,
             "pixels": pixels,
-            "backlog": self.backlog.size,
+            "backlog": self.work_queues.size,
             "outputs": self.outputs.data.nbytes,
         }
 

@@ -105,29 +105,29 @@ class NodeProbe:
 
 def memory(processor: Processor) -> dict[str, int]:
     """Bytes by use, and of the process."""
-    return {**processor.tracer.memory, "pss": proportional_memory()}
+    return {**processor.node_state.memory, "pss": proportional_memory()}
 
 
 def sample(
     processor: Processor, epoch: int, number: int, now: float, dropped: int, used: dict[str, int]
 ) -> dict[str, Any]:
     """How a node stands. used: as of `memory`, which takes longer than all the rest."""
-    tracer = processor.tracer
+    node_state = processor.node_state
     return {
         "is": "sample",
         "epoch": epoch,
         "number": number,
         "time": now,
         "phase": processor.phase,
-        "counts": tracer.counts.astype("<i8").tobytes(),
-        "queues": tracer.backlog.count[:CLASSES].tolist(),
+        "counts": node_state.counts.astype("<i8").tobytes(),
+        "queues": node_state.work_queues.count[:CLASSES].tolist(),
         "waiting": _waiting(processor),
-        "outputs": tracer.outputs.held[: HOST + 1].tolist(),
+        "outputs": node_state.outputs.held[: HOST + 1].tolist(),
         "links": [
             [port, link.waiting, link.messages_sent, link.bytes_sent, link.received]
             for port, link in processor.links.items()
         ],
-        "surfaces": sum(len(batch) for batch in tracer.retained),
+        "surfaces": sum(len(batch) for batch in node_state.retained),
         "memory": used,
         "cpu": time.process_time(),
         "dropped": dropped,
@@ -136,14 +136,14 @@ def sample(
 
 def _waiting(processor: Processor) -> list[int]:
     """Packets that wait, by port of arrival and kind: place in the table and how many, for those that are any."""
-    backlog = processor.tracer.backlog
+    work_queues = processor.node_state.work_queues
     table = np.zeros(ARRIVALS * KINDS, np.int64)
     for queue in range(CLASSES):
-        held = int(backlog.count[queue])
+        held = int(work_queues.count[queue])
         if held:
             first = max(0, held - LOOKED_AT)
-            kinds = backlog.stacks[queue][first * SIZE : held * SIZE : SIZE] & 7
-            at = backlog.stacks[CLASSES + queue][first:held].astype(np.int64) * KINDS + kinds
+            kinds = work_queues.stacks[queue][first * SIZE : held * SIZE : SIZE] & 7
+            at = work_queues.stacks[CLASSES + queue][first:held].astype(np.int64) * KINDS + kinds
             table += np.bincount(at, minlength=len(table))
     places = np.flatnonzero(table)
     counted: list[int] = np.stack((places, table[places]), axis=1).ravel().tolist()

@@ -93,7 +93,7 @@ class Processor:
         programs: bool = False,
     ) -> None:
         self.index, self.shape, self.links, self.batch, self.clock = index, shape, links, batch, clock
-        self.tracer = NodeState(index, shape)
+        self.node_state = NodeState(index, shape)
         self.ended = False
         parent = tree_parent(index)
         self._parent = HOST if parent is None else parent
@@ -104,13 +104,13 @@ class Processor:
         self._wave: dict[str, Any] | None = None
         self._answers: list[dict[str, Any]] = []
         self._deadline = 0.0
-        self.tallies = Reductions(links, self._parent, self._children)
+        self.reductions = Reductions(links, self._parent, self._children)
         self._received = self._handed_on = 0
         self._halted = self._built = False
         self.refused: Counter[str] = Counter()
         self.cpu_at_frame = 0.0
-        self.tracer.pace[TUNE_FLUSH], self.tracer.pace[TUNE_BATCH] = min(USUAL_FLUSH, batch), batch
-        self._wired: NativeLinkTable | None = None
+        self.node_state.tuning[TUNE_FLUSH], self.node_state.tuning[TUNE_BATCH] = min(USUAL_FLUSH, batch), batch
+        self._link_table: NativeLinkTable | None = None
         self._ports = list(links.items())
         self.choked = self._up = False
         self.phase = "idle"  # load, trace, collect or idle: for the probes
@@ -130,9 +130,9 @@ class Processor:
             elif arrival.kind == MessageKind.UP and port in self._children:
                 self._answers.append(read_order(arrival.message))
             elif arrival.kind == MessageKind.TALLY and port == self._parent:
-                self._begin_tally(arrival.message)
+                self._begin_reduction(arrival.message)
             elif arrival.kind == MessageKind.TALLIED and port in self._children:
-                self.tallies.hear(port, arrival.message)
+                self.reductions.hear(port, arrival.message)
             else:
                 self._take_other(port, link, arrival)
 
@@ -140,54 +140,54 @@ class Processor:
         """A message that only processors of another sort take. Raises ProtocolError."""
         raise ProtocolError(f"link {link.name}: {arrival.kind.name} came on a port where it cannot come from")
 
-    def wire(self, wired: NativeLinkTable) -> None:
+    def wire(self, link_table: NativeLinkTable) -> None:
         """Let compiled code serve some of the links while a frame is traced."""
-        self._wired, self.tracer.wires = wired, wired.wires
+        self._link_table, self.node_state.native = link_table, link_table.native
 
     @property
     def served_by(self) -> str:
         """What serves the links while a frame is traced: "compiled" or "python"."""
-        return "compiled" if self._wired is not None and self._wired.is_on else "python"
+        return "compiled" if self._link_table is not None and self._link_table.is_on else "python"
 
     def serves_itself(self, port: int) -> bool:
         """Whether `work` receives what comes over a link, so that `receive` need not be called for it."""
-        return self._wired is not None and self.tracer.frame is not None and self._wired.serves(port)
+        return self._link_table is not None and self.node_state.frame is not None and self._link_table.serves(port)
 
     def work(self, wait: bool = False) -> bool:
         """Do one piece of work; whether there is more. `wait`: whether to wait for messages where compiled code can."""
         if self._surfaces:
             self._take_surfaces()
-        if self.tracer.increments.pending:
+        if self.node_state.increments.pending:
             self._hand_on()
-        if self.tracer.has_work or (self._wired is not None and self.tracer.frame is not None):
+        if self.node_state.has_work or (self._link_table is not None and self.node_state.frame is not None):
             self._trace(wait and self._may_wait)
         self._flush()
         if self._wave is not None:
             self._maybe_answer()
-        elif self.tallies.pending:
-            self.tallies.maybe_answer(self.clock(), self._idle, self._own_sums)
+        elif self.reductions.pending:
+            self.reductions.maybe_answer(self.clock(), self._idle, self._own_sums)
         return self.busy
 
     def _trace(self, wait: bool) -> None:
         """Work on packets, those too that come meanwhile over links that compiled code serves."""
-        if self._wired is None:
+        if self._link_table is None:
             self._work_on_packets(wait)
             return
-        self._lend_tally(self._wired)
-        port = self._wired.end(self._work_on_packets(wait))
+        self._lend_reduction(self._link_table)
+        port = self._link_table.end(self._work_on_packets(wait))
         if port is not None:
             self.receive(port)
 
     def _work_on_packets(self, wait: bool) -> int:
         """What a program raises is refused, with the packets that it was working on. Returns why work ended."""
         try:
-            return self.tracer.work(wait)
+            return self.node_state.work(wait)
         except Exception as error:
-            if self.tracer.program is None:
+            if self.node_state.program is None:
                 raise
-            name = self.tracer.program.program.name
+            name = self.node_state.program.program.name
             self._refuse(f"node {self.index}: the program {name} raises: {type(error).__name__}: {error}")
-            self.tracer.forget_frame()
+            self.node_state.forget_frame()
             self._halted = True
             return BATCH_IDLE
 
@@ -200,18 +200,18 @@ class Processor:
     @property
     def _is_occupied(self) -> bool:
         """Whether this node has something to do of which compiled code knows nothing."""
-        return bool(self._surfaces or self.tracer.increments.pending) or self.tracer.collecting >= 0
+        return bool(self._surfaces or self.node_state.increments.pending) or self.node_state.collecting >= 0
 
     @property
     def busy(self) -> bool:
         """Whether `work` has something to do now."""
-        held = self._surfaces or self.tracer.increments.pending
-        return self.tracer.has_work or (bool(held) and not self._clogged())
+        held = self._surfaces or self.node_state.increments.pending
+        return self.node_state.has_work or (bool(held) and not self._clogged())
 
     def wait_limit(self) -> float | None:
         """Seconds after which `work` must be called even if nothing arrives; None: never."""
-        if self.tallies.waits_for_node:
-            return self.tallies.left(self.clock())
+        if self.reductions.waits_for_node:
+            return self.reductions.left(self.clock())
         if self._wave is None or not self._deadline:
             return None
         return max(0.0, self._deadline - self.clock())
@@ -222,7 +222,7 @@ class Processor:
         link.grant()
         if self._halted:
             return
-        if self.tracer.limits is None or port == HOST:
+        if self.node_state.limits is None or port == HOST:
             why = "from the host, which sends none" if port == HOST else "before a frame"
             self._refuse(f"link {link.name}: packets came {why}")
             return
@@ -231,7 +231,7 @@ class Processor:
         except ProtocolError as error:
             self._refuse(f"link {link.name}: {error}")
             return
-        number, bad = self.tracer.backlog.sort_in(arrival.message, arrival.items, port)
+        number, bad = self.node_state.work_queues.sort_in(arrival.message, arrival.items, port)
         if bad:
             self._refuse(f"link {link.name}: packet {number} of a message: {FAULTS[bad]}")
 
@@ -243,9 +243,9 @@ class Processor:
 
     def _flush(self) -> None:
         """Send the outputs that are full enough, all of them when there is nothing else to do."""
-        outputs = self.tracer.outputs
+        outputs = self.node_state.outputs
         held = outputs.held.tolist()
-        least = int(self.tracer.pace[TUNE_FLUSH]) if self.tracer.has_work else 1
+        least = int(self.node_state.tuning[TUNE_FLUSH]) if self.node_state.has_work else 1
         self.choked = False
         for port, link in self._ports:
             if link.queued or link.urgent:
@@ -267,7 +267,7 @@ class Processor:
             link.grant()
             if self._halted:
                 continue
-            space, cell = self.tracer.space, self.tracer.cell
+            space, cell = self.node_state.space, self.node_state.cell
             if space is None or cell is None or self._built:
                 self._refuse(
                     f"link {link.name}: surfaces came " + ("after the order to build" if space else "before a space")
@@ -275,12 +275,12 @@ class Processor:
                 continue
             try:
                 corner, batch = read_surfaces(arrival.message, arrival.items)
-                self.tracer.check_known(batch)
+                self.node_state.check_known(batch)
             except ProtocolError as error:
                 self._refuse(f"link {link.name}: {error}")
                 continue
             self._received += len(batch)
-            placed = self.tracer.increments.place(batch)
+            placed = self.node_state.increments.place(batch)
             boxes = placed.bounds()
             try:
                 ways = self._ways(corner, batch, placed, boxes)
@@ -288,19 +288,19 @@ class Processor:
                 self._refuse(f"link {link.name}: {error}")
                 continue
             if placed is batch:
-                self.tracer.retain(batch, boxes)
+                self.node_state.retain(batch, boxes)
             else:
-                self.tracer.retain(placed, boxes, batch)
+                self.node_state.retain(placed, boxes, batch)
             for way in ways:
                 self._handed_on += len(way.batch)
                 self._send_surfaces(corner, way)
 
     def _ways(self, corner: int, batch: Batch, placed: Batch, boxes: NDArray[np.float64]) -> list[Path]:
         """To whom descriptions go on: along the corner's tree, or after a motion along that of their owners."""
-        space, cell = self.tracer.space, self.tracer.cell
+        space, cell = self.node_state.space, self.node_state.cell
         assert space is not None and cell is not None
         if corner == MOVED:
-            return self.tracer.increments.relay(batch, placed, boxes, space, cell)
+            return self.node_state.increments.relay(batch, placed, boxes, space, cell)
         if corner not in self._branches:
             self._branches[corner] = branches(corner, space, cell)
         onward = [Path(b.port, batch.select(meets(placed, b.low, b.high, boxes))) for b in self._branches[corner]]
@@ -308,7 +308,7 @@ class Processor:
 
     def _hand_on(self) -> None:
         """Send descriptions that a motion has brought to other cells."""
-        pending = self.tracer.increments.pending
+        pending = self.node_state.increments.pending
         while pending and not self._clogged():
             self._send_surfaces(MOVED, pending.popleft())
 
@@ -331,39 +331,39 @@ class Processor:
             self._refuse(f"node {self.index}: {error}")
 
     def _refuse_second_wave(self) -> None:
-        if self._wave is not None or self.tallies.pending:
+        if self._wave is not None or self.reductions.pending:
             raise ProtocolError(f"node {self.index}: a wave came before the last one was answered")
 
     def _obey(self, order: dict[str, Any]) -> None:
         do = order.get("do")
         self.phase = PHASES.get(str(do), self.phase)
         if do == "space":
-            self.tracer.set_space(read_space(order, self.shape))
+            self.node_state.set_space(read_space(order, self.shape))
             self._halted = self._built = False
             self._branches = {}
             self._received = self._handed_on = 0
             self.refused.clear()
-        elif do in ("build", "frame", "groups", "move", "hand") and self.tracer.space is None:
+        elif do in ("build", "frame", "groups", "move", "hand") and self.node_state.space is None:
             raise ProtocolError(f"the order {do!r} came before a space")
-        elif do in ("trace", "collect") and self.tracer.frame is None:
+        elif do in ("trace", "collect") and self.node_state.frame is None:
             raise ProtocolError(f"the order {do!r} came before a frame")
         elif do == "program":
-            self.tracer.ready = ready_program(order, self._programs)
+            self.node_state.ready = ready_program(order, self._programs)
         elif do == "use":
-            self.tracer.use_ready()
+            self.node_state.use_ready()
         elif do == "groups":
-            self.tracer.increments.set_groups(order)
+            self.node_state.increments.set_groups(order)
         elif do == "move":
             self._halted = self._built = False
-            self.tracer.move(order)
+            self.node_state.move(order)
         elif do == "hand":
-            self._handed_on += self.tracer.increments.hand()
+            self._handed_on += self.node_state.increments.hand()
         elif do == "build":
-            self.tracer.build()
+            self.node_state.build()
             self._built = True
         elif do == "frame":
             self.cpu_at_frame = time.process_time()
-            self.tracer.set_frame(read_frame(order))
+            self.node_state.set_frame(read_frame(order))
             for link in self.links.values():
                 link.forget_peaks()
             self._halted = False
@@ -371,23 +371,23 @@ class Processor:
             quota = order.get("quota")
             if type(quota) is not int or not 0 <= quota < 2**32:
                 raise ProtocolError(f"a quota came as {quota!r}, wanted a whole number")
-            self._admit(quota, *self._read_pace(order))
+            self._admit(quota, *self._read_tuning(order))
         elif do == "collect":
-            self.tracer.collecting = 0
+            self.node_state.collecting = 0
         elif do == "halt":
             self._halt()
         elif do not in ("ready", "loaded", "report", "end"):
             raise ProtocolError(f"an order came as {do!r}, wanted one that this node knows")
 
     def _halt(self) -> None:
-        self.tracer.forget_frame()
-        self.tracer.increments.give_up()
+        self.node_state.forget_frame()
+        self.node_state.increments.give_up()
         for link in self.links.values():
             link.give_up()
         self.refused.clear()
         self._halted = True
 
-    def _read_pace(self, order: dict[str, Any]) -> tuple[int, int, int]:
+    def _read_tuning(self, order: dict[str, Any]) -> tuple[int, int, int]:
         """(gather, nap in microseconds, flush): how eagerly to take turns and to send. Raises ProtocolError."""
         gather, linger, flush = order.get("gather", 0), order.get("linger", 0.0), order.get("flush", USUAL_FLUSH)
         if type(gather) is not int or type(flush) is not int or not isinstance(linger, float) or not 0 <= linger <= 1:
@@ -398,9 +398,9 @@ class Processor:
 
     def _admit(self, quota: int, gather: int, nap: int, flush: int) -> None:
         """Let more primaries be born, and set the pace: see `Driver`."""
-        pace = self.tracer.pace
-        self.tracer.quota = max(self.tracer.quota, quota)
-        pace[TUNE_LEAST], pace[TUNE_BACK_OFF], pace[TUNE_FLUSH] = (
+        tuning = self.node_state.tuning
+        self.node_state.quota = max(self.node_state.quota, quota)
+        tuning[TUNE_LEAST], tuning[TUNE_BACK_OFF], tuning[TUNE_FLUSH] = (
             gather,
             nap // BACK_OFFS,
             max(1, min(flush, self.batch)),
@@ -440,41 +440,45 @@ class Processor:
 
     def _own_sums(self) -> NDArray[np.int64]:
         """What this node adds to the sums of a wave."""
-        tracer, sums = self.tracer, np.zeros(SUMS, np.int64)
-        sums[:COUNTS] = tracer.counts
-        sums[HOMES_LEFT] = tracer.samples_left
-        sums[SUM_WAITING] = tracer.backlog.held + tracer.outputs.held.sum()
-        sums[SUM_RECEIVED], sums[HANDED_ON], sums[COLLECTING] = self._received, self._handed_on, tracer.collecting >= 0
+        node_state, sums = self.node_state, np.zeros(SUMS, np.int64)
+        sums[:COUNTS] = node_state.counts
+        sums[HOMES_LEFT] = node_state.samples_left
+        sums[SUM_WAITING] = node_state.work_queues.held + node_state.outputs.held.sum()
+        sums[SUM_RECEIVED], sums[HANDED_ON], sums[COLLECTING] = (
+            self._received,
+            self._handed_on,
+            node_state.collecting >= 0,
+        )
         sums[REFUSED] = sum(self.refused.values())
-        sums[ALLOWED] = tracer.quota if tracer.samples_left else 0
+        sums[ALLOWED] = node_state.quota if node_state.samples_left else 0
         sums[SUM_DATA_SENT] = sum(link.data_sent for link in self.links.values())
         sums[SUM_DATA_DONE] = sum(link.data_done for link in self.links.values())
         return sums
 
     # --- tallies -----------------------------------------------------------------------------------
 
-    def _begin_tally(self, message: bytes) -> None:
+    def _begin_reduction(self, message: bytes) -> None:
         self._refuse_second_wave()
-        _, quota, _, gather, nap, flush = self.tallies.begin(message, self.clock())
-        if self.tracer.frame is None:
+        _, quota, _, gather, nap, flush = self.reductions.begin(message, self.clock())
+        if self.node_state.frame is None:
             self._refuse(f"node {self.index}: the order 'trace' came before a frame")
             return
         self._admit(quota, gather, nap, flush)
 
-    def _lend_tally(self, wired: NativeLinkTable) -> None:
+    def _lend_reduction(self, link_table: NativeLinkTable) -> None:
         """Let compiled code take care of tallies while no other wave is under way."""
-        known = self.tallies.tally.known
+        known = self.reductions.reduction_state.known
         known[SUM_RECEIVED], known[HANDED_ON], known[COLLECTING] = (
             self._received,
             self._handed_on,
-            self.tracer.collecting >= 0,
+            self.node_state.collecting >= 0,
         )
         known[REFUSED] = sum(self.refused.values())
-        strange = [link for port, link in self._ports if not wired.keeps(port)]
+        strange = [link for port, link in self._ports if not link_table.keeps(port)]
         known[SUM_DATA_SENT] = sum(link.data_sent for link in strange)
         known[SUM_DATA_DONE] = sum(link.data_done for link in strange)
         queued = any(link.waiting for link in self.links.values())
-        wired.begin(self._wave is None and not self._halted, self._is_occupied or queued)
+        link_table.begin(self._wave is None and not self._halted, self._is_occupied or queued)
 
     def record(self) -> dict[str, Any]:
         """What this node says of itself, JSON-able."""

@@ -72,16 +72,16 @@ def again(cell, space, frame, surfaces, packets, ports, first, last, what, stack
     return told
 
 
-def warm(tracer: NodeState) -> None:
+def warm(node_state: NodeState) -> None:
     """Load the kernel, or compile it, for a tracer with a frame."""
-    _again(tracer, np.zeros(SIZE, np.uint8), np.zeros(1, np.uint8), 0, 0, HIT, np.zeros(COUNTS, np.int64))
+    _again(node_state, np.zeros(SIZE, np.uint8), np.zeros(1, np.uint8), 0, 0, HIT, np.zeros(COUNTS, np.int64))
 
 
 def _again(
-    tracer: NodeState, packets: np.ndarray, ports: np.ndarray, first: int, last: int, what: int, counts: np.ndarray
+    node_state: NodeState, packets: np.ndarray, ports: np.ndarray, first: int, last: int, what: int, counts: np.ndarray
 ) -> None:
-    tables = tracer.cell, tracer.space, tracer.frame, tracer.surfaces
-    again(*tables, packets, ports, first, last, what, tracer.outputs.stack, tracer.outputs.ahead, counts)
+    tables = node_state.cell, node_state.space, node_state.frame, node_state.surfaces
+    again(*tables, packets, ports, first, last, what, node_state.outputs.stack, node_state.outputs.ahead, counts)
 
 
 class Profile:
@@ -95,23 +95,23 @@ class Profile:
         self._counts = np.zeros(COUNTS, np.int64)
         self._scratch = np.ones(BIRTHS * SIZE, np.uint8)
         self._frames = 0
-        processor.tracer.pace[TUNE_RETURN] = (
+        processor.node_state.tuning[TUNE_RETURN] = (
             4 * BATCH_RAYS
         )  # back to Python while packets wait, or there are none to sample
         self._begin()
         self._record = processor.record
         processor.receive = self._timed("receive", processor.receive)  # type: ignore[method-assign]
         processor._flush = self._timed("send", processor._flush)  # type: ignore[method-assign]
-        self._serve = processor.tracer.work
-        processor.tracer.work = self._work  # type: ignore[method-assign]
-        set_frame = processor.tracer.set_frame
+        self._serve = processor.node_state.work
+        processor.node_state.work = self._work  # type: ignore[method-assign]
+        set_frame = processor.node_state.set_frame
 
         def begin(frame: Any) -> None:
             set_frame(frame)
-            warm(processor.tracer)  # or the first sample would hold the loading of the kernel
+            warm(processor.node_state)  # or the first sample would hold the loading of the kernel
             self._begin()
 
-        processor.tracer.set_frame = begin  # type: ignore[method-assign]
+        processor.node_state.set_frame = begin  # type: ignore[method-assign]
         processor.record = self.record  # type: ignore[method-assign]
 
     def _begin(self) -> None:
@@ -136,9 +136,9 @@ class Profile:
     def _work(self, wait: bool = False) -> int:
         self._calls += 1
         begun = time.thread_time()
-        if self._calls % EVERY == 1 and self._processor.tracer.frame is not None:
+        if self._calls % EVERY == 1 and self._processor.node_state.frame is not None:
             self._sample()
-        spent = self._processor.tracer.wires.spent
+        spent = self._processor.node_state.native.spent
         spent[:3] = 0
         served = time.thread_time()
         why = self._serve(wait)
@@ -152,21 +152,23 @@ class Profile:
 
     def _sample(self) -> None:
         """Time packets that wait, and some births."""
-        tracer = self._processor.tracer
+        node_state = self._processor.node_state
         for kind in (SHADOWS, RAYS):
-            held = int(tracer.backlog.count[kind])
+            held = int(node_state.work_queues.count[kind])
             if held >= LEAST_SAMPLES:
-                self._sample_stack(tracer.backlog, kind, held)
-        if tracer.quota > 0 and tracer.samples_left:
+                self._sample_stack(node_state.work_queues, kind, held)
+        if node_state.quota > 0 and node_state.samples_left:
             self._sample_births()
 
-    def _sample_stack(self, backlog: WorkQueues, kind: int, held: int) -> None:
-        tracer = self._processor.tracer
+    def _sample_stack(self, work_queues: WorkQueues, kind: int, held: int) -> None:
+        node_state = self._processor.node_state
         first = max(0, held - PORTION)
 
         def timed(end: int, what: int) -> float:
             begun = time.thread_time()
-            _again(tracer, backlog.stacks[kind], backlog.stacks[CLASSES + kind], first, end, what, self._counts)
+            _again(
+                node_state, work_queues.stacks[kind], work_queues.stacks[CLASSES + kind], first, end, what, self._counts
+            )
             return time.thread_time() - begun
 
         timed(first, DECODE)  # the way into compiled code is long, and cold the first time
@@ -179,21 +181,21 @@ class Profile:
 
     def _sample_births(self) -> None:
         """Bear some primaries aside."""
-        tracer = self._processor.tracer
-        assert tracer.pixels is not None
-        pixels = tracer.pixels._replace(samples=tracer.pixels.samples.copy())
+        node_state = self._processor.node_state
+        assert node_state.pixels is not None
+        pixels = node_state.pixels._replace(samples=node_state.pixels.samples.copy())
         cursor = new_cursor(True)
         begun = time.thread_time()
         self._births += spawn_primaries(
-            tracer.cell,
-            tracer.space,
-            tracer.frame,
+            node_state.cell,
+            node_state.space,
+            node_state.frame,
             pixels,
             cursor,
             self._scratch,
             0,
             BIRTHS,
-            tracer.outputs.seen,
+            node_state.outputs.seen,
             self._counts,
         )
         self._sampled["birth"] += time.thread_time() - begun
@@ -208,7 +210,7 @@ class Profile:
         """Seconds by part since the frame began; sampled parts scaled to all turns."""
         wall, cpu = time.perf_counter() - self._wall, time.thread_time() - self._cpu
         spent, sampled = self._seconds, self._sampled
-        turns, counts = spent["turns"], self._processor.tracer.counts
+        turns, counts = spent["turns"], self._processor.node_state.counts
         parts = {part: sampled[part] / max(self._packets, 1) * int(counts[WALKS]) for part in ("decode", "walk", "hit")}
         parts["birth"] = sampled["birth"] / max(self._births, 1) * int(counts[BORN + PRIMARY])
         known = sum(parts.values())

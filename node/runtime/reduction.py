@@ -71,16 +71,16 @@ class Reduction(NamedTuple):
 
 def make_reduction(parent: int = 0, children: tuple[int, ...] = ()) -> Reduction:
     """None is under way."""
-    tally = Reduction(
+    reduction_state = Reduction(
         np.zeros(STATE, np.int64),
         np.zeros(REQUEST_FIELDS, np.int64),
         np.zeros(SUMS, np.int64),
         np.zeros(SUMS, np.int64),
         np.zeros(HEAD + max(REQUEST_BYTES, REPLY_BYTES), np.uint8),
     )
-    tally.state[PARENT_PORT] = parent
-    tally.state[CHILD_PORTS] = sum(1 << port for port in children)
-    return tally
+    reduction_state.state[PARENT_PORT] = parent
+    reduction_state.state[CHILD_PORTS] = sum(1 << port for port in children)
+    return reduction_state
 
 
 # --- in Python -----------------------------------------------------------------------------------------
@@ -150,9 +150,9 @@ def put_word(raw, place, value):
 
 
 @part
-def may_begin(tally, port, raw):
+def may_begin(reduction_state, port, raw):
     """Whether a message, as long as a TALLY, is one that this code can take care of."""
-    state = tally.state
+    state = reduction_state.state
     if state[COMPILED_SERVES] == 0 or state[PENDING] != 0 or port != state[PARENT_PORT]:
         return False
     quota, hold, gather = read_word(raw, QUOTA), read_word(raw, HOLD), read_word(raw, BATCH_THRESHOLD)
@@ -163,38 +163,43 @@ def may_begin(tally, port, raw):
 
 
 @part
-def begin_reduction(tally, raw, now):
+def begin_reduction(reduction_state, raw, now):
     """As `tallies.Tallies.begin`; what it orders is still to be done."""
-    state = tally.state
+    state = reduction_state.state
     for k in range(REQUEST_FIELDS):
-        tally.order[k] = read_word(raw, k)
-    state[PENDING], state[CURRENT], state[REPLIED], state[TO_NOTIFY] = 1, tally.order[WAVE], 0, state[CHILD_PORTS]
-    state[DEADLINE], state[FRESH] = now + tally.order[HOLD], 1
+        reduction_state.order[k] = read_word(raw, k)
+    state[PENDING], state[CURRENT], state[REPLIED], state[TO_NOTIFY] = (
+        1,
+        reduction_state.order[WAVE],
+        0,
+        state[CHILD_PORTS],
+    )
+    state[DEADLINE], state[FRESH] = now + reduction_state.order[HOLD], 1
     for k in range(SUMS):
-        tally.sums[k] = 0
+        reduction_state.sums[k] = 0
 
 
 @part
-def may_take_reply(tally, port, raw):
+def may_take_reply(reduction_state, port, raw):
     """Whether a message, as long as a TALLIED, is one that is waited for."""
-    state = tally.state
+    state = reduction_state.state
     if state[COMPILED_SERVES] == 0 or state[PENDING] == 0 or (state[CHILD_PORTS] >> port) & 1 == 0:
         return False
     return (state[REPLIED] >> port) & 1 == 0 and read_word(raw, 0) == state[CURRENT]
 
 
 @part
-def take_reply(tally, port, raw):
+def take_reply(reduction_state, port, raw):
     """As `tallies.Tallies.hear`."""
     for k in range(SUMS):
-        tally.sums[k] += read_word(raw, 1 + k)
-    tally.state[REPLIED] |= 1 << port
+        reduction_state.sums[k] += read_word(raw, 1 + k)
+    reduction_state.state[REPLIED] |= 1 << port
 
 
 @part
-def waits_for_node(tally):
+def waits_for_node(reduction_state):
     """Whether one is under way that this code serves, and that waits for nobody but this node."""
-    state = tally.state
+    state = reduction_state.state
     return (
         state[PENDING] != 0
         and state[COMPILED_SERVES] != 0
@@ -204,7 +209,7 @@ def waits_for_node(tally):
 
 
 @part
-def put_reply(tally, quota, cursor, held, outputs, counts, data_sent, data_done):
+def put_reply(reduction_state, quota, cursor, held, outputs, counts, data_sent, data_done):
     """Write the answer into `room`: the children's sums and this node's own.
 
     data_sent, data_done  messages of the links that this code serves; those of others are known
@@ -213,9 +218,9 @@ def put_reply(tally, quota, cursor, held, outputs, counts, data_sent, data_done)
     for k in range(len(outputs.held)):
         waiting += outputs.held[k]
     left = np.int64(cursor[DONE] == 0)
-    put_word(tally.room, 0, tally.state[CURRENT])
+    put_word(reduction_state.room, 0, reduction_state.state[CURRENT])
     for k in range(SUMS):
-        value = tally.sums[k] + tally.known[k]
+        value = reduction_state.sums[k] + reduction_state.known[k]
         if k < COUNTS:
             value += counts[k]
         elif k == HOMES_LEFT:
@@ -228,4 +233,4 @@ def put_reply(tally, quota, cursor, held, outputs, counts, data_sent, data_done)
             value += data_sent
         elif k == SUM_DATA_DONE:
             value += data_done
-        put_word(tally.room, 1 + k, value)
+        put_word(reduction_state.room, 1 + k, value)

@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
 def record_of(processor: Processor) -> dict[str, Any]:
     """What a node says of itself, JSON-able."""
-    counts, tracer, links = processor.tracer.counts, processor.tracer, processor.links
+    counts, node_state, links = processor.node_state.counts, processor.node_state, processor.links
     kinds = list(PacketKind)
     return {
         "index": list(processor.index),
-        "program": None if tracer.program is None else tracer.program.program.digest,
+        "program": None if node_state.program is None else node_state.program.program.digest,
         "pid": os.getpid(),
-        "surfaces": {kind.name.lower(): _held(tracer, kind) for kind in SURFACE_KINDS},
+        "surfaces": {kind.name.lower(): _held(node_state, kind) for kind in SURFACE_KINDS},
         "born": {kind.name.lower(): int(counts[BORN + kind]) for kind in kinds},
         "died": {kind.name.lower(): int(counts[DIED + kind]) for kind in kinds},
         "sent": [int(counts[SENT + port]) for port in range(PORTS)],
@@ -42,10 +42,10 @@ def record_of(processor: Processor) -> dict[str, Any]:
         "bytes": sum(link.bytes_sent for link in links.values()),
         "stale": sum(link.stale for link in links.values()),
         "served_by": processor.served_by,
-        "waiting": tracer.backlog.held + int(tracer.outputs.held.sum()),
-        "most_waiting": tracer.backlog.most_held,
+        "waiting": node_state.work_queues.held + int(node_state.outputs.held.sum()),
+        "most_waiting": node_state.work_queues.most_held,
         "most_queued_messages": max((link.most_waiting for link in links.values()), default=0),
-        "memory": {**tracer.memory, "links": sum(link.most_waiting_bytes for link in links.values())},
+        "memory": {**node_state.memory, "links": sum(link.most_waiting_bytes for link in links.values())},
         "busy_seconds": round(time.process_time() - processor.cpu_at_frame, 6),
         "cpu_seconds": round(time.process_time(), 6),
         "peak_memory": peak_memory(),
@@ -53,8 +53,8 @@ def record_of(processor: Processor) -> dict[str, Any]:
     }
 
 
-def _held(tracer: NodeState, kind: AnyKind) -> int:
-    return sum(len(batch) for batch in tracer.retained if batch.kind == kind)
+def _held(node_state: NodeState, kind: AnyKind) -> int:
+    return sum(len(batch) for batch in node_state.retained if batch.kind == kind)
 
 
 def read_sums(answer: dict[str, Any]) -> NDArray[np.int64]:

@@ -30,19 +30,19 @@ def attempt(made: Compiled) -> None:
     """Trace a small picture of a programmed surface, a triangle, and the background. Raises what the program raises."""
     from raygrid.node.runtime.node_state import NodeState
 
-    tracer = NodeState((0, 0, 0), (1, 1, 1))
-    tracer.ready = made
-    tracer.use_ready()
-    tracer.set_space(make_space((2.0**-24,) * 3, [[0, LATTICE]] * 3))
+    node_state = NodeState((0, 0, 0), (1, 1, 1))
+    node_state.ready = made
+    node_state.use_ready()
+    node_state.set_space(make_space((2.0**-24,) * 3, [[0, LATTICE]] * 3))
     for batch in _surfaces(made.program):
-        tracer.retain(batch, batch.bounds())
-    tracer.build()
-    tracer.set_frame(_frame())
-    tracer.quota = 64
+        node_state.retain(batch, batch.bounds())
+    node_state.build()
+    node_state.set_frame(_frame())
+    node_state.quota = 64
     for _ in range(MOST_TURNS):
-        if not tracer.has_work:
+        if not node_state.has_work:
             return
-        tracer.work()
+        node_state.work()
     raise ProtocolError(f"the program {made.program.name} has not traced 64 rays after {MOST_TURNS} turns")
 
 

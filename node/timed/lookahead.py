@@ -85,25 +85,25 @@ class Lookahead:
         for port in self.waiting:
             self.post(port, LookaheadRequest(self.frame, ASK, self.index, self.number, tick, 0))
 
-    def take(self, port: int, enquiry: LookaheadRequest) -> None:
+    def take(self, port: int, lookahead_request: LookaheadRequest) -> None:
         """A question or an answer came by a port."""
-        if enquiry.answer == ASK:
-            self.held.append((port, enquiry))
+        if lookahead_request.answer == ASK:
+            self.held.append((port, lookahead_request))
             return
-        if enquiry.origin == self.index:
-            self._own_answer(port, enquiry)
+        if lookahead_request.origin == self.index:
+            self._own_answer(port, lookahead_request)
             return
-        found = self.engaged.get(enquiry.origin)
-        if found is not None and found.number == enquiry.number and port in found.waiting:
+        found = self.engaged.get(lookahead_request.origin)
+        if found is not None and found.number == lookahead_request.number and port in found.waiting:
             found.waiting.discard(port)
-            found.failed = found.failed or enquiry.answer == NO
-            self._maybe_answer(enquiry.origin, found)
+            found.failed = found.failed or lookahead_request.answer == NO
+            self._maybe_answer(lookahead_request.origin, found)
 
-    def _own_answer(self, port: int, enquiry: LookaheadRequest) -> None:
-        if enquiry.number != self.number or port not in self.waiting:
+    def _own_answer(self, port: int, lookahead_request: LookaheadRequest) -> None:
+        if lookahead_request.number != self.number or port not in self.waiting:
             return
         self.waiting.discard(port)
-        self.failed = self.failed or enquiry.answer == NO
+        self.failed = self.failed or lookahead_request.answer == NO
         if self.waiting:
             return
         if not self.failed:
@@ -122,28 +122,28 @@ class Lookahead:
     def turn(self) -> None:
         """Take part in the questions that came, as far as the node's own next decision allows."""
         held, self.held = self.held, []
-        for port, enquiry in held:
-            self._consider(port, enquiry)
+        for port, lookahead_request in held:
+            self._consider(port, lookahead_request)
 
-    def _consider(self, port: int, enquiry: LookaheadRequest) -> None:
-        found = self.engaged.get(enquiry.origin)
-        if enquiry.origin == self.index or (found is not None and found.number == enquiry.number):
-            self.post(port, enquiry._replace(answer=YES))
+    def _consider(self, port: int, lookahead_request: LookaheadRequest) -> None:
+        found = self.engaged.get(lookahead_request.origin)
+        if lookahead_request.origin == self.index or (found is not None and found.number == lookahead_request.number):
+            self.post(port, lookahead_request._replace(answer=YES))
             return
-        if found is not None and (found.number - enquiry.number) & 0xFFFFFFFF < 1 << 31:
-            self.post(port, enquiry._replace(answer=NO))  # the origin asks something else by now
+        if found is not None and (found.number - lookahead_request.number) & 0xFFFFFFFF < 1 << 31:
+            self.post(port, lookahead_request._replace(answer=NO))  # the origin asks something else by now
             return
-        hops = sum(abs(here - there) for here, there in zip(self.index, enquiry.origin, strict=True))
-        limit = enquiry.tick - hops * self.lookahead
+        hops = sum(abs(here - there) for here, there in zip(self.index, lookahead_request.origin, strict=True))
+        limit = lookahead_request.tick - hops * self.lookahead
         if self.decision() <= limit:
-            self.held.append((port, enquiry))
+            self.held.append((port, lookahead_request))
             return
         waiting = {other for other in self.ports if other != port and self.bound[other] <= limit}
-        engagement = PendingRequest(enquiry.number, enquiry.tick, limit, port, waiting)
-        self.engaged[enquiry.origin] = engagement
+        engagement = PendingRequest(lookahead_request.number, lookahead_request.tick, limit, port, waiting)
+        self.engaged[lookahead_request.origin] = engagement
         for other in waiting:
-            self.post(other, enquiry)
-        self._maybe_answer(enquiry.origin, engagement)
+            self.post(other, lookahead_request)
+        self._maybe_answer(lookahead_request.origin, engagement)
 
     def _maybe_answer(self, origin: Index, found: PendingRequest) -> None:
         if found.waiting or found.answered:

@@ -72,22 +72,22 @@ class TimedProcessor(Processor):
         self._why = CLOCK_IDLE
         self._frame_number = 0
         self._told = [0] * PORTS  # promises of the neighbours
-        self._enquiries = self._new_enquiries(0)
+        self._lookahead = self._new_lookahead(0)
         self._dirty = False
         self.timed = make_service_clock(1, FIRST_CLOCK_ROOM)
         self._scratch, self._counts = np.zeros(SIZE, np.uint8), np.zeros(COUNTS, np.int64)
         self._stamps = self._new_stamps()
 
     def _new_stamps(self) -> Stamps:
-        room = (self.tracer.outputs.data.shape[1] - HEAD) // SIZE
+        room = (self.node_state.outputs.data.shape[1] - HEAD) // SIZE
         return Stamps(np.zeros((PORTS + 1, room), np.int64), np.zeros(PORTS + 1, np.int64))
 
-    def _new_enquiries(self, first: int) -> Lookahead:
+    def _new_lookahead(self, first: int) -> Lookahead:
         """No questions yet; nothing arrives before tick `first`."""
         ports = self._neighbours
         lookahead = 1 if self._prices is None else self._prices.lookahead
         bound = dict.fromkeys(ports, first)
-        return Lookahead(self.index, self._frame_number, lookahead, ports, self._post_enquiry, self._decision, bound)
+        return Lookahead(self.index, self._frame_number, lookahead, ports, self._post_request, self._decision, bound)
 
     # --- orders ------------------------------------------------------------------------------------
 
@@ -102,7 +102,7 @@ class TimedProcessor(Processor):
     def _admit(self, quota: int, gather: int, nap: int, flush: int) -> None:
         super()._admit(quota, gather, nap, flush)
         if self._prices is not None:
-            self.tracer.quota = 0  # births follow machine time, not the root
+            self.node_state.quota = 0  # births follow machine time, not the root
             self._started = self._dirty = True
 
     def _begin_frame(self, order: dict[str, Any]) -> None:
@@ -114,11 +114,11 @@ class TimedProcessor(Processor):
         self._prices, tests = found
         self._frame_number = int(order.get("wave", 0)) & 0xFFFFFFFF
         self.timed, self._stamps = make_service_clock(1, FIRST_CLOCK_ROOM), self._new_stamps()
-        held = [sum(len(batch) for batch in self.tracer.retained if batch.kind == kind) for kind in Kind]
+        held = [sum(len(batch) for batch in self.node_state.retained if batch.kind == kind) for kind in Kind]
         self.timed.nodes[0, LIST_TICKS] = int(np.array(held) @ tests)
         first = self._prices.lookahead  # nobody has decided anything yet
         self._told = [first] * PORTS
-        self._enquiries = self._new_enquiries(first)
+        self._lookahead = self._new_lookahead(first)
 
     # --- messages ----------------------------------------------------------------------------------
 
@@ -131,10 +131,10 @@ class TimedProcessor(Processor):
             if arrival.kind is MessageKind.STAMPED:
                 self._take_stamped(port, arrival)
             else:
-                enquiry = read_lookahead(arrival.message)
-                if self._is_current(enquiry.frame):
-                    self._rely_on(port, enquiry.promise)
-                    self._enquiries.take(port, enquiry)
+                lookahead_request = read_lookahead(arrival.message)
+                if self._is_current(lookahead_request.frame):
+                    self._rely_on(port, lookahead_request.promise)
+                    self._lookahead.take(port, lookahead_request)
         except ProtocolError as error:
             self._refuse(f"link {link.name}: {error}")
 
@@ -145,7 +145,7 @@ class TimedProcessor(Processor):
         if promise < self._told[port]:
             raise ProtocolError(f"the promise {promise} came after the promise {self._told[port]}")
         self._told[port] = promise
-        self._enquiries.bound[port] = max(self._enquiries.bound[port], promise)
+        self._lookahead.bound[port] = max(self._lookahead.bound[port], promise)
         self._dirty = True
 
     def _take_stamped(self, port: int, arrival: Arrival) -> None:
@@ -153,10 +153,10 @@ class TimedProcessor(Processor):
         if not self._is_current(message.frame):
             raise ProtocolError(f"{arrival.items} packets of another frame came")
         packets = np.frombuffer(arrival.message, np.uint8)
-        number, bad = first_fault(packets, message.at, arrival.items, self.tracer.limits)
+        number, bad = first_fault(packets, message.at, arrival.items, self.node_state.limits)
         if bad:
             raise ProtocolError(f"packet {number} of a message: {FAULTS[bad]}")
-        before = self._enquiries.bound[port]
+        before = self._lookahead.bound[port]
         if message.ticks[0] < before:
             raise ProtocolError(f"a packet came for tick {message.ticks[0]}, when none could before {before}")
         self._make_room(arrival.items)
@@ -183,43 +183,43 @@ class TimedProcessor(Processor):
             self._dirty = False
             self._advance()
             self._send()
-            self._enquiries.turn()
+            self._lookahead.turn()
             if self._why == CLOCK_BLOCKED:
-                self._enquiries.ask(self._decision())
+                self._lookahead.ask(self._decision())
         return super().work()
 
     def _decision(self) -> int:
         """The next decision as far as it is known."""
-        return int(next_decision(self.timed, self.tracer.samples_left))
+        return int(next_decision(self.timed, self.node_state.samples_left))
 
     def _advance(self) -> None:
-        tracer, horizon = self.tracer, self._enquiries.horizon()
-        assert tracer.frame is not None
-        self._make_room(2 * (tracer.frame.n_lights + 4))
+        node_state, horizon = self.node_state, self._lookahead.horizon()
+        assert node_state.frame is not None
+        self._make_room(2 * (node_state.frame.n_lights + 4))
         first = self._decision()
         self._why = advance(
-            self.timed, horizon, tracer.cell, tracer.space, tracer.frame, tracer.surfaces, tracer.pixels,
-            tracer.cursor, self._scratch, tracer.outputs, self._stamps, self._counts, tracer.counts, self._prices,
+            self.timed, horizon, node_state.cell, node_state.space, node_state.frame, node_state.surfaces, node_state.pixels,
+            node_state.cursor, self._scratch, node_state.outputs, self._stamps, self._counts, node_state.counts, self._prices,
         )  # fmt: skip
-        tracer.samples_left = int(tracer.cursor[DONE]) == 0
+        node_state.samples_left = int(node_state.cursor[DONE]) == 0
         if first < horizon:
-            self._enquiries.decided(first)
+            self._lookahead.decided(first)
 
     def _promise(self, port: int) -> int:
         """The promise that can be given to a neighbour now."""
         assert self._prices is not None
         row = self.timed.nodes[0]
-        decision = min(self._decision(), max(int(row[FREE]), self._enquiries.horizon()))
+        decision = min(self._decision(), max(int(row[FREE]), self._lookahead.horizon()))
         after_others = int(row[LINK_FREE + port]) + self._prices.transmit + self._prices.latency
         return min(max(decision + self._prices.lookahead, after_others), LAST_TICK)
 
-    def _post_enquiry(self, port: int, enquiry: LookaheadRequest) -> None:
-        payload = pack_lookahead(enquiry._replace(promise=self._promise(port)))
+    def _post_request(self, port: int, lookahead_request: LookaheadRequest) -> None:
+        payload = pack_lookahead(lookahead_request._replace(promise=self._promise(port)))
         self.links[port].send_data(MessageKind.ENQUIRY, 0, payload)
 
     def _send(self) -> None:
         """Packets with their ticks, and a promise of what comes after them."""
-        outputs = self.tracer.outputs
+        outputs = self.node_state.outputs
         for port in self._neighbours:
             held = int(outputs.held[port])
             if not held:

@@ -67,7 +67,7 @@ def _take_own(outputs, output, packets, ports, held):
 
 
 @part
-def run_batch(cell, space, frame, surfaces, pixels, cursor, quota, pace, stacks, held, outputs, counts):
+def run_batch(cell, space, frame, surfaces, pixels, cursor, quota, tuning, stacks, held, outputs, counts):
     """Serve what waits until nothing does or one of the reasons above. Returns (quota left, why it ended, packets
     served).
 
@@ -79,9 +79,9 @@ def run_batch(cell, space, frame, surfaces, pixels, cursor, quota, pace, stacks,
     served = 0
     room = (outputs.data.shape[1] - HEAD) // SIZE
     lights = max(frame.n_lights, 2)
-    while served < pace[0]:
-        if quota > 0 and cursor[DONE] == 0 and held[RAYS] < pace[1]:
-            many = min(quota, min(pace[2], len(stacks.ray_ports) - held[RAYS]))
+    while served < tuning[0]:
+        if quota > 0 and cursor[DONE] == 0 and held[RAYS] < tuning[1]:
+            many = min(quota, min(tuning[2], len(stacks.ray_ports) - held[RAYS]))
             if many == 0:
                 return quota, BATCH_CROWDED, served
             made = spawn_primaries(
@@ -101,7 +101,7 @@ def run_batch(cell, space, frame, surfaces, pixels, cursor, quota, pace, stacks,
             return quota, BATCH_CROWDED, served
         packets, ports = stacks.rays, stacks.ray_ports
         if kind == IN_TRANSIT:
-            packets, ports = stacks.travellers, stacks.traveller_ports
+            packets, ports = stacks.in_transit, stacks.transit_ports
         elif kind == SHADOWS:
             packets, ports = stacks.shadows, stacks.shadow_ports
         done = step(cell, space, frame, surfaces, pixels, packets, ports, first, held[kind], outputs, counts)

@@ -53,7 +53,7 @@ class Outputs(NamedTuple):
     held: NDArray[np.int64]
     stack: NDArray[np.int64]
     ahead: RaySetup
-    newborn: SpawnBatch
+    spawns: SpawnBatch
     seen: PrimaryBatch
 
 
@@ -72,7 +72,7 @@ def make_outputs(room: int, stack: int) -> Outputs:
 def clear(outputs: Outputs) -> None:
     """Forget what outputs hold."""
     outputs.held[:] = 0
-    outputs.newborn.held[:] = 0
+    outputs.spawns.held[:] = 0
     outputs.seen.held[:] = 0
 
 
@@ -149,29 +149,29 @@ def keep(pixels, pixel, intensity, counts):
 
 
 @part
-def emit(cell, space, brood, kind, sample, depth, light, p, g, d, weight, outputs, counts):
+def emit(cell, space, spawn_batch, kind, sample, depth, light, p, g, d, weight, outputs, counts):
     """Note a birth, and write all that are noted if there is room for no more."""
     counts[BORN + kind] += 1
     head = kind | (depth << 3) | (sample << 8)
-    if note(outputs.newborn, brood, head, light, p, g, d, weight):
-        _write_spawned(cell, space, brood, outputs, counts)
+    if note(outputs.spawns, spawn_batch, head, light, p, g, d, weight):
+        _write_spawned(cell, space, spawn_batch, outputs, counts)
 
 
 @part
-def _write_spawned(cell, space, brood, outputs, counts):
+def _write_spawned(cell, space, spawn_batch, outputs, counts):
     """Put all births of a brood that are noted on the outputs."""
-    newborn = outputs.newborn
-    work_out(cell, space, newborn, brood)
-    for j in range(newborn.held[brood]):
-        ports = starts_behind(newborn, brood, j)
-        output = SELF if brood == SHADOW_BATCH else SELF_RAYS
+    spawns = outputs.spawns
+    work_out(cell, space, spawns, spawn_batch)
+    for j in range(spawns.held[spawn_batch]):
+        ports = starts_behind(spawns, spawn_batch, j)
+        output = SELF if spawn_batch == SHADOW_BATCH else SELF_RAYS
         if ports != 0:
             output = 0
             while (ports >> output) & 1 == 0:
                 output += 1
         row, at = _claim(outputs, output, counts)
-        put(newborn, brood, j, row, at)
-    newborn.held[brood] = 0
+        put(spawns, spawn_batch, j, row, at)
+    spawns.held[spawn_batch] = 0
 
 
 @part
@@ -185,7 +185,7 @@ def write_all_noted(cell, space, frame, pixels, outputs, counts):
 @part
 def noted(outputs):
     """Packets that are noted: they may all go to one output."""
-    return outputs.newborn.held[SHADOW_BATCH] + outputs.newborn.held[RAY_BATCH] + outputs.seen.held[0]
+    return outputs.spawns.held[SHADOW_BATCH] + outputs.spawns.held[RAY_BATCH] + outputs.seen.held[0]
 
 
 @part

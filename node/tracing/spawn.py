@@ -81,41 +81,41 @@ def origin_beside(step, p, g, d):
 
 
 @part
-def note(newborn, brood, head, light, p, g, d, weight):
+def note(spawns, spawn_batch, head, light, p, g, d, weight):
     """Note a birth; whether there is room for no more."""
-    j = newborn.held[brood] & (SPAWN_ROOM - 1)
-    fact, word = brood * SPAWN_FACTS * SPAWN_ROOM + j, brood * SPAWN_WORDS * SPAWN_ROOM + j
+    j = spawns.held[spawn_batch] & (SPAWN_ROOM - 1)
+    fact, word = spawn_batch * SPAWN_FACTS * SPAWN_ROOM + j, spawn_batch * SPAWN_WORDS * SPAWN_ROOM + j
     for axis in range(3):
-        newborn.facts[fact + (SPAWN_POINT + axis) * SPAWN_ROOM] = p[axis]
-        newborn.facts[fact + (SPAWN_NORMAL + axis) * SPAWN_ROOM] = g[axis]
-        newborn.facts[fact + (SPAWN_DIRECTION + axis) * SPAWN_ROOM] = d[axis]
-        newborn.facts[fact + (SPAWN_WEIGHT + axis) * SPAWN_ROOM] = weight[axis]
-    newborn.words[word + SPAWN_HEAD * SPAWN_ROOM], newborn.words[word + SPAWN_LIGHT * SPAWN_ROOM] = head, light
-    newborn.held[brood] = j + 1
+        spawns.facts[fact + (SPAWN_POINT + axis) * SPAWN_ROOM] = p[axis]
+        spawns.facts[fact + (SPAWN_NORMAL + axis) * SPAWN_ROOM] = g[axis]
+        spawns.facts[fact + (SPAWN_DIRECTION + axis) * SPAWN_ROOM] = d[axis]
+        spawns.facts[fact + (SPAWN_WEIGHT + axis) * SPAWN_ROOM] = weight[axis]
+    spawns.words[word + SPAWN_HEAD * SPAWN_ROOM], spawns.words[word + SPAWN_LIGHT * SPAWN_ROOM] = head, light
+    spawns.held[spawn_batch] = j + 1
     return j + 1 == SPAWN_ROOM
 
 
 @part
-def work_out(cell, space, newborn, brood):
+def work_out(cell, space, spawns, spawn_batch):
     """Make the words of all that are noted of a brood."""
-    for j in range(0, newborn.held[brood], EIGHT):
-        fact, word = brood * SPAWN_FACTS * SPAWN_ROOM + j, brood * SPAWN_WORDS * SPAWN_ROOM + j
-        if brood == SHADOW_BATCH:
-            _shadow_words(newborn.facts, newborn.words, fact, word, space.step, corners(cell))
+    for j in range(0, spawns.held[spawn_batch], EIGHT):
+        fact, word = spawn_batch * SPAWN_FACTS * SPAWN_ROOM + j, spawn_batch * SPAWN_WORDS * SPAWN_ROOM + j
+        if spawn_batch == SHADOW_BATCH:
+            _shadow_words(spawns.facts, spawns.words, fact, word, space.step, corners(cell))
         else:
-            _ray_words(newborn.facts, newborn.words, fact, word, space.step, corners(cell))
+            _ray_words(spawns.facts, spawns.words, fact, word, space.step, corners(cell))
 
 
 @part
-def starts_behind(newborn, brood, j):
+def starts_behind(spawns, spawn_batch, j):
     """Six bits: the ports behind which a newborn starts."""
-    return newborn.words[(brood * SPAWN_WORDS + SPAWN_BEHIND) * SPAWN_ROOM + j]
+    return spawns.words[(spawn_batch * SPAWN_WORDS + SPAWN_BEHIND) * SPAWN_ROOM + j]
 
 
 @part
-def put(newborn, brood, j, row, at):
+def put(spawns, spawn_batch, j, row, at):
     """Write the packet of a newborn that was worked out."""
-    put_made(newborn.words, (brood * SPAWN_WORDS + SPAWN_WORD) * SPAWN_ROOM + j, SPAWN_ROOM, row, at)
+    put_made(spawns.words, (spawn_batch * SPAWN_WORDS + SPAWN_WORD) * SPAWN_ROOM + j, SPAWN_ROOM, row, at)
 
 
 @part

@@ -36,10 +36,10 @@ Bytes = NDArray[np.uint8]
 class Stacks(NamedTuple):
     """Packets of each class, uint8 bytes, 25 each, and the uint8 port by which each came."""
 
-    travellers: Bytes
+    in_transit: Bytes
     shadows: Bytes
     rays: Bytes
-    traveller_ports: Bytes
+    transit_ports: Bytes
     shadow_ports: Bytes
     ray_ports: Bytes
 
@@ -82,7 +82,7 @@ def sort(message, count, port, bounds, stacks, held):
     while first < count:
         at = HEAD + first * SIZE
         kind = _class(read_kind(message, at))
-        packets, ports = stacks.travellers, stacks.traveller_ports
+        packets, ports = stacks.in_transit, stacks.transit_ports
         if kind == SHADOWS:
             packets, ports = stacks.shadows, stacks.shadow_ports
         elif kind == RAYS:

@@ -160,9 +160,9 @@ def packets_alive(array: MemoryArray) -> NDArray[np.uint8]:
     """Every packet that is anywhere in the array or under way, uint8 (n, 25)."""
     found = []
     for processor in array.processors:
-        tracer = processor.tracer
-        found += [tracer.backlog.packets(kind) for kind in range(CLASSES)]
-        found += [row[HEAD : HEAD + held * SIZE] for row, held in zip(*tracer.outputs[:2], strict=True) if held]
+        node_state = processor.node_state
+        found += [node_state.work_queues.packets(kind) for kind in range(CLASSES)]
+        found += [row[HEAD : HEAD + held * SIZE] for row, held in zip(*node_state.outputs[:2], strict=True) if held]
     for link in links_of(array):
         found += [np.frombuffer(payload, np.uint8) for kind, _, payload in link.queued if kind == MessageKind.PACKETS]
         found += [np.frombuffer(raw, np.uint8)[HEAD:] for raw in _queued(link.channel) if raw[0] == MessageKind.PACKETS]
@@ -178,7 +178,7 @@ def trees_alive(array: MemoryArray) -> int:
 
 def counted(array: MemoryArray) -> NDArray[np.int64]:
     """(born, died) by kind, over all nodes at this moment."""
-    counts = sum(processor.tracer.counts for processor in array.processors)
+    counts = sum(processor.node_state.counts for processor in array.processors)
     assert isinstance(counts, np.ndarray)
     return np.stack((counts[BORN : BORN + KINDS], counts[DIED : DIED + KINDS]))
 
@@ -192,6 +192,6 @@ def in_flight(array: MemoryArray) -> int:
 def retained_ids(array: MemoryArray) -> list[set[int]]:
     """The surfaces that each node retains."""
     return [
-        {int(number) for batch in merge(processor.tracer.retained) for number in batch.ids}
+        {int(number) for batch in merge(processor.node_state.retained) for number in batch.ids}
         for processor in array.processors
     ]

@@ -72,5 +72,5 @@ def misused(outcome: Outcome, command: str, pattern: str) -> None:
 @pytest.fixture(scope="module")
 def warm_kernels() -> None:
     """Compile what is not in the cache yet, so that no test hears of it."""
-    with ForkServerClient.start() as nursery:
-        nursery.wait_warm(WARM_SECONDS)
+    with ForkServerClient.start() as fork_server:
+        fork_server.wait_warm(WARM_SECONDS)

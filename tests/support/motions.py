@@ -84,13 +84,13 @@ def holdings(array: MemoryArray) -> list[dict[str, bytes]]:
     """What each node holds: descriptions at rest, and every table of the ray step in the order of ids."""
     found = []
     for processor in array.processors:
-        tracer = processor.tracer
+        node_state = processor.node_state
         held = {
-            f"{b.kind.name} {what}": getattr(b, what).tobytes() for b in tracer.retained for what in ("ids", "data")
+            f"{b.kind.name} {what}": getattr(b, what).tobytes() for b in node_state.retained for what in ("ids", "data")
         }
-        held |= {f"{b.kind.name} materials": b.materials.tobytes() for b in tracer.retained}
-        held |= {f"{b.kind.name} where": tracer.increments.place(b).data.tobytes() for b in tracer.retained}
-        tables = tracer.surfaces
+        held |= {f"{b.kind.name} materials": b.materials.tobytes() for b in node_state.retained}
+        held |= {f"{b.kind.name} where": node_state.increments.place(b).data.tobytes() for b in node_state.retained}
+        tables = node_state.surfaces
         order = np.argsort(tables.ids)
         held |= {"built ids": tables.ids[order].tobytes(), "built materials": tables.materials[order].tobytes()}
         for kind, table in (

@@ -33,7 +33,7 @@ from raygrid.emulator.processes.fork_server_client import ForkServerClient, Proc
 from raygrid.emulator.topology import socket_directory
 from raygrid.node.errors import ArrayError
 
-TESTS = Path(__file__).parent
+TESTS = Path(__file__).parents[1]
 TIMEOUT = 20.0  # seconds; only a failing test takes as long
 GRACE = 2.0  # seconds that a process may take to disappear after the test
 MARK = "RAYGRID_TEST_MARK"  # variable that tells the processes of one test from all others, orphans too
@@ -62,12 +62,12 @@ def wait_dead(*pids: int) -> None:
             os.close(descriptor)
 
 
-def wait_ended(nursery: ForkServerClient, count: int) -> list[ProcessEnded]:
+def wait_ended(fork_server: ForkServerClient, count: int) -> list[ProcessEnded]:
     """The next `count` nodes that end, in the order of their ends."""
     ended: list[ProcessEnded] = []
     while len(ended) < count:
-        wait_readable(nursery.fileno(), "the end of a node")
-        ended += [event for event in nursery.read_events() if isinstance(event, ProcessEnded)]
+        wait_readable(fork_server.fileno(), "the end of a node")
+        ended += [event for event in fork_server.read_events() if isinstance(event, ProcessEnded)]
     return ended
 
 
@@ -280,8 +280,8 @@ class FrontEnd:
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
         )
         assert self.process.stdout is not None
-        self.directory, nursery = self.process.stdout.readline().split()
-        self.nursery = int(nursery)
+        self.directory, fork_server = self.process.stdout.readline().split()
+        self.fork_server = int(fork_server)
 
     def finish(self) -> str:
         """Wait for its end; returns what it wrote to stderr."""

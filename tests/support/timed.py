@@ -88,9 +88,9 @@ def emulated(job: Job, cost: str, search: str | None = None, **options: Any) -> 
     array = MemoryArray(job.space.shape, timed=True, **options)
     array.driver.patience = PATIENCE
     array.driver.ready()
-    books = emulated_by(array.driver, job, cost, search)
+    link_states = emulated_by(array.driver, job, cost, search)
     array.driver.end()
-    return books
+    return link_states
 
 
 def assert_same(one: Books, other: Books) -> None:

@@ -66,13 +66,13 @@ def test_the_nursery_is_started_before_anything_heavy_is_imported():
     look = """
 import sys
 from raygrid.emulator.processes.array import Array
-from raygrid.emulator.processes.fork_server_client import Nursery
+from raygrid.emulator.processes.fork_server_client import ForkServerClient
 
 def start(**options):
     print("imported:", *sys.modules)
     raise SystemExit(0)
 
-Nursery.start = start
+ForkServerClient.start = start
 from raygrid.host.cli.main import cli
 cli.main(["render", "scenes/tiny.nff", "-o", "-.png", "-q"], standalone_mode=False)
 """

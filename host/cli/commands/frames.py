@@ -112,24 +112,24 @@ def run_frames(request: RenderRequest) -> None:
     check_name(request.scene)
     files = _check_names(request)
     sweep_folders()
-    with ProgressReporter(request.quiet) as talk, contextlib.ExitStack() as stack:
+    with ProgressReporter(request.quiet) as reporter, contextlib.ExitStack() as stack:
         if files.played:
             files.reel = stack.enter_context(waiting())
-        with launching(request, talk) as array:
+        with launching(request, reporter) as array:
             array.begin()
-            talk.phase(f"reading {request.scene}")
-            scene, numbers = _read(files, talk)
-            rate, skipped = _render(files, scene, numbers, array, talk)
-            talk.phase("ending the processors")
+            reporter.phase(f"reading {request.scene}")
+            scene, numbers = _read(files, reporter)
+            rate, skipped = _render(files, scene, numbers, array, reporter)
+            reporter.phase("ending the processors")
         for said, frames in files.blank.items():
-            talk.remark(f"{as_ranges(frames)}: {said}")
+            reporter.remark(f"{as_ranges(frames)}: {said}")
         for path in files.played:
-            talk.phase(f"writing {path}")
+            reporter.phase(f"writing {path}")
             assert files.reel is not None
             files.reel.play(path, numbers, 1.0 if scene.shot is None else scene.shot.fps)
         if skipped:
-            talk.remark(f"{skipped} of {len(numbers)} frames were there already")
-        talk.say(
+            reporter.remark(f"{skipped} of {len(numbers)} frames were there already")
+        reporter.say(
             f"{len(numbers) - skipped} frames, traced in {rate:.2f} s of wall time, {time.perf_counter() - begun:.2f} s in all"
         )
     for output in (*files.written, *files.played):
@@ -169,7 +169,7 @@ def _paths(files: _Files, numbers: list[int]) -> Iterator[str]:
             yield stats
 
 
-def _read(files: _Files, talk: ProgressReporter) -> tuple[Scene, list[int]]:
+def _read(files: _Files, reporter: ProgressReporter) -> tuple[Scene, list[int]]:
     """The shot, and the numbers of its frames that are to be rendered."""
     from raygrid.host.render.picture_digest import contents_of_shot
     from raygrid.host.scene.load import load_scene
@@ -179,7 +179,7 @@ def _read(files: _Files, talk: ProgressReporter) -> tuple[Scene, list[int]]:
     with recorded() as sources:
         scene = load_scene(request.scene)
     for remark in scene.remarks:
-        talk.remark(remark)
+        reporter.remark(remark)
     files.contents = contents_of_shot(sources, request.turntable)
     if request.turntable is not None:
         from raygrid.host.scene.animation.turntable import turntable
@@ -190,7 +190,9 @@ def _read(files: _Files, talk: ProgressReporter) -> tuple[Scene, list[int]]:
     return scene, numbers
 
 
-def _render(files: _Files, scene: Scene, numbers: list[int], array: Array, talk: ProgressReporter) -> tuple[float, int]:
+def _render(
+    files: _Files, scene: Scene, numbers: list[int], array: Array, reporter: ProgressReporter
+) -> tuple[float, int]:
     """Render each frame that is not there yet, and write it; seconds of tracing, and how many were there."""
     from raygrid.host.cli.commands.render import program_of
     from raygrid.host.render.animation_jobs import jobs_of
@@ -202,29 +204,29 @@ def _render(files: _Files, scene: Scene, numbers: list[int], array: Array, talk:
     rate, skipped = 0.0, 0
     for done, job in enumerate(jobs_of(scene, request.shape, settings, numbers, array.wait_warm)):
         if done == 0:
-            _begin(files, job, talk)
+            _begin(files, job, reporter)
             array.wait_ready()
-            talk.shot(len(numbers))
-        talk.frame(numbers[done], done, skipped)
+            reporter.shot(len(numbers))
+        reporter.frame(numbers[done], done, skipped)
         if request.resume and files.are_there(job):
             skipped += 1
             continue
-        talk.expect(samples_expected(job))
+        reporter.expect(samples_expected(job))
         picture = render_with_retries(
-            array, job, request.budget, talk.watch, attempts=request.attempts, on_fault=talk.fault
+            array, job, request.budget, reporter.watch, attempts=request.attempts, on_fault=reporter.fault
         )
-        talk.phase("writing")
+        reporter.phase("writing")
         files.save(job, picture)
         rate += picture.stats["wall_seconds"]["trace"]
-    talk.shot(0)
+    reporter.shot(0)
     return rate, skipped
 
 
-def _begin(files: _Files, job: Job, talk: ProgressReporter) -> None:
+def _begin(files: _Files, job: Job, reporter: ProgressReporter) -> None:
     """What can be said once the first frame's size is known. Raises OutputError."""
     for output in files.request.outputs:
         check_side(output, job.frame.width, job.frame.height)
         padded = padding(output, job.frame.width, job.frame.height)
         if padded is not None:
-            talk.remark(padded)
-    talk.phase("launching the processors")
+            reporter.remark(padded)
+    reporter.phase("launching the processors")

@@ -43,7 +43,7 @@ def run_jam(request: JamRequest) -> None:
     """Run the model without admission and with it, and print how both ended. Raises RaygridError."""
     scene = load_scene(request.scene)
     settings = {**request.settings, "size": request.settings.get("size") or DEFAULT_SIZE}
-    with ProgressReporter(False) as talk, compiling(talk, LOOKING):
+    with ProgressReporter(False) as reporter, compiling(reporter, LOOKING):
         job = still_job(scene, request.shape, Settings(**settings), request.frame)
         free = surely_free(job.frame, request.room)
         budget = max(1, free) if request.budget is None else request.budget

@@ -44,15 +44,15 @@ def run_law(request: LawRequest) -> None:
     for scene in request.scenes:
         check_name(scene)
         note(scene, "the same file as a scene")
-    with made_folder(request.folder), ProgressReporter(request.quiet) as talk:
+    with made_folder(request.folder), ProgressReporter(request.quiet) as reporter:
         check_path(Path(request.folder) / "law.md")
         check_outputs(report_paths(request.folder, request.scenes))
-        paths = _run(request, talk)
+        paths = _run(request, reporter)
     for path in paths:
         write_result(path)
 
 
-def _run(request: LawRequest, talk: ProgressReporter) -> list[str]:
+def _run(request: LawRequest, reporter: ProgressReporter) -> list[str]:
     from raygrid.host.cli.commands.simulate import compiling
     from raygrid.host.machine_time.cost_models import load_cost_model
     from raygrid.host.machine_time.plots import pyplot
@@ -66,10 +66,10 @@ def _run(request: LawRequest, talk: ProgressReporter) -> list[str]:
     scenes = [load_scene(scene) for scene in request.scenes]
     for scene in scenes:
         if told_frame := frame_told(scene, None, False):
-            talk.remark(told_frame)
+            reporter.remark(told_frame)
     check_outputs(report_paths(request.folder, [scene.name for scene in scenes]))  # now that all is read
     points = []
-    with compiling(talk):
+    with compiling(reporter):
         for scene in scenes:
             points += sweep(
                 scene,
@@ -79,7 +79,7 @@ def _run(request: LawRequest, talk: ProgressReporter) -> list[str]:
                 request.search,
                 request.along,
                 request.settings,
-                talk.phase,
+                reporter.phase,
             )
-    talk.phase("fitting")
+    reporter.phase("fitting")
     return write_report(request.folder, points, fits_of(points), cost, request.command)

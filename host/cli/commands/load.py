@@ -14,19 +14,19 @@ from raygrid.node.errors import ArrayError
 def run_load(path: str, shape: tuple[int, int, int], allowed: bool, quiet: bool) -> None:
     """Launch an array, load a program, and say what the nodes run. Raises RaygridError."""
     check_allowed(path, allowed)
-    with ProgressReporter(quiet) as talk, Array(shape, on_warming=talk.warming, programs=allowed) as array:
+    with ProgressReporter(quiet) as reporter, Array(shape, on_warming=reporter.warming, programs=allowed) as array:
         array.begin()
         from raygrid.host.render.program_file import read_program
 
         program = read_program(path)
-        talk.phase("launching the processors")
+        reporter.phase("launching the processors")
         array.wait_ready()
-        talk.phase(f"loading {program.name}")
+        reporter.phase(f"loading {program.name}")
         begun = time.perf_counter()
         array.driver.load_program(program)
         seconds = time.perf_counter() - begun
         running = [node["program"] for node in array.driver.report()]
-        talk.phase("ending the processors")
+        reporter.phase("ending the processors")
     if set(running) != {program.digest}:
         raise ArrayError(f"{path}: {running.count(program.digest)} of {len(running)} nodes run the program, wanted all")
     functions = ", ".join(sorted(program.hooks))

@@ -95,10 +95,10 @@ def run_render(request: RenderRequest) -> None:
     if request.cost is not None:
         _prices(request.cost, request.search)
     _check_outputs(request)
-    with ProgressReporter(request.quiet) as talk, _probing(request) as probing:
-        picture, encoding = _render(request, talk, begun, probing)
+    with ProgressReporter(request.quiet) as reporter, _probing(request) as probing:
+        picture, encoding = _render(request, reporter, begun, probing)
         for output in request.outputs:
-            talk.phase(f"writing {output}")
+            reporter.phase(f"writing {output}")
             encoding.save(output)
         seconds = picture.stats["wall_seconds"]
         seconds["whole"] = round(time.perf_counter() - begun, 6)
@@ -107,13 +107,13 @@ def run_render(request: RenderRequest) -> None:
 
             save_stats(request.stats, picture.stats)
         if (blank := picture.blank()) is not None:
-            talk.remark(blank)
+            reporter.remark(blank)
         for line in _summary(picture):
-            talk.say(line)
+            reporter.say(line)
         if request.profile:
             from raygrid.host.cli.profile_table import profile_table
 
-            talk.table(profile_table(picture.stats["nodes"]))
+            reporter.table(profile_table(picture.stats["nodes"]))
     write_names(request.outputs, request.patterns)
 
 
@@ -125,15 +125,15 @@ def _named(request: RenderRequest) -> RenderRequest:
 
 
 def _render(
-    request: RenderRequest, talk: ProgressReporter, begun: float, probing: Probing | None
+    request: RenderRequest, reporter: ProgressReporter, begun: float, probing: Probing | None
 ) -> tuple[Picture, Encoder]:
     shape = request.shape
-    with launching(request, talk) as array:
+    with launching(request, reporter) as array:
         array.begin()
-        talk.phase(f"reading {request.scene}")
-        job = _read_job(request, talk, array.wait_warm)
+        reporter.phase(f"reading {request.scene}")
+        job = _read_job(request, reporter, array.wait_warm)
         read = time.perf_counter()
-        talk.phase(f"launching {shape[0] * shape[1] * shape[2]} processors")
+        reporter.phase(f"launching {shape[0] * shape[1] * shape[2]} processors")
         from raygrid.host.image.picture import Encoder, prepare
         from raygrid.host.render.job import samples_expected
         from raygrid.host.render.retry import render_with_retries
@@ -142,20 +142,20 @@ def _render(
             prepare(request.outputs)
         array.wait_ready()
         ready = time.perf_counter()
-        talk.expect(samples_expected(job))
+        reporter.expect(samples_expected(job))
         if probing is not None:
             array.probe(request.probe_rate, probing.take)
         picture = render_with_retries(
             array,
             job,
             request.budget,
-            talk.watch,
+            reporter.watch,
             attempts=request.attempts,
-            on_fault=talk.fault,
+            on_fault=reporter.fault,
             prices=None if request.cost is None else _prices(request.cost, request.search),
         )
         picture.stats["wall_seconds"] |= {"read": round(read - begun, 6), "launch": round(ready - read, 6)}
-        talk.phase("ending the processors")
+        reporter.phase("ending the processors")
         encoding = Encoder(picture, request.outputs, request.transfer)
     return picture, encoding
 
@@ -179,11 +179,11 @@ def _probing(request: RenderRequest) -> AbstractContextManager[Probing | None]:
     return Probing(request.shape, request.probe_rate, request.probe_record, request.chrome_trace)
 
 
-def launching(request: RenderRequest, talk: ProgressReporter) -> Array:
+def launching(request: RenderRequest, reporter: ProgressReporter) -> Array:
     """The array that is asked for, not yet begun."""
     options: dict[str, Any] = {"fault": request.fault, "profile": request.profile, "programs": request.allow_programs}
     options["timed"] = request.cost is not None
-    return Array(request.shape, request.batch, request.patience, talk.warming, **options)
+    return Array(request.shape, request.batch, request.patience, reporter.warming, **options)
 
 
 def program_of(request: RenderRequest) -> Program | None:
@@ -193,7 +193,7 @@ def program_of(request: RenderRequest) -> Program | None:
     return None if request.program is None else read_program(request.program)
 
 
-def _read_job(request: RenderRequest, talk: ProgressReporter, wait_warm: Callable[[], None]) -> Job:
+def _read_job(request: RenderRequest, reporter: ProgressReporter, wait_warm: Callable[[], None]) -> Job:
     from raygrid.host.render.import_block import hidden
     from raygrid.host.scene.load import load_scene
 
@@ -202,9 +202,9 @@ def _read_job(request: RenderRequest, talk: ProgressReporter, wait_warm: Callabl
 
     scene = load_scene(request.scene)
     for remark in scene.remarks:
-        talk.remark(remark)
+        reporter.remark(remark)
     if scene.shot is not None and scene.shot.frames > 1:
-        talk.remark(f"frame 1 of {scene.shot.frames}; --frames 1-{scene.shot.frames} renders all")
+        reporter.remark(f"frame 1 of {scene.shot.frames}; --frames 1-{scene.shot.frames} renders all")
     job = make_job(scene, request.shape, Settings(**request.settings, program=program_of(request)), wait_warm)
     check_outputs(_written(request))  # now that all is read
     for output in request.outputs:

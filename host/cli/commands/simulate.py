@@ -59,19 +59,19 @@ def run_simulate(request: SimulateRequest) -> None:
     """Read, simulate, write, and say what came out. Raises RaygridError."""
     check_name(request.scene)
     _check_outputs(request)
-    with ProgressReporter(request.quiet) as talk:
-        done = _simulate(request, talk)
-        stats = _write(request, done, talk)
+    with ProgressReporter(request.quiet) as reporter:
+        done = _simulate(request, reporter)
+        stats = _write(request, done, reporter)
         lines = summary(done, stats)
         if STANDARD in _written(request):  # where the summary would be in the way
-            talk.table(lines)
+            reporter.table(lines)
             return
     for line in lines:
         write_result(line)
 
 
-def _simulate(request: SimulateRequest, talk: ProgressReporter) -> Simulated:
-    talk.phase(f"reading {request.scene}")
+def _simulate(request: SimulateRequest, reporter: ProgressReporter) -> Simulated:
+    reporter.phase(f"reading {request.scene}")
     from raygrid.host.machine_time.cost_models import load_cost_model
     from raygrid.host.render.animation_jobs import still_job
     from raygrid.host.render.job import Settings
@@ -81,21 +81,21 @@ def _simulate(request: SimulateRequest, talk: ProgressReporter) -> Simulated:
     cost = load_cost_model(request.cost)
     scene = load_scene(request.scene)
     for remark in scene.remarks:
-        talk.remark(remark)
+        reporter.remark(remark)
     if told_frame := frame_told(scene, request.frame):
-        talk.remark(told_frame)
+        reporter.remark(told_frame)
     check_outputs(_written(request))  # now that all is read
-    with compiling(talk):
+    with compiling(reporter):
         from raygrid.host.machine_time.simulate import simulate_job
 
         job = still_job(scene, request.shape, Settings(**request.settings), request.frame)
         for output in request.outputs:
             check_side(output, job.frame.width, job.frame.height)
-        talk.phase("simulating")
-        return simulate_job(job, cost, request.search, request.band, tell=told(talk))
+        reporter.phase("simulating")
+        return simulate_job(job, cost, request.search, request.band, tell=told(reporter))
 
 
-def told(talk: ProgressReporter) -> Any:
+def told(reporter: ProgressReporter) -> Any:
     """A teller for `simulate_job`: the phase, events so far, and how many a second."""
     from raygrid.emulator.processes import now
 
@@ -103,16 +103,18 @@ def told(talk: ProgressReporter) -> Any:
 
     def tell(phase: str, events: int, died: int) -> None:
         rate = events / max(now() - begun, 1e-3) / 1e6
-        talk.phase(f"{phase}: {events / 1e6:.0f} million events, {died / 1e6:.1f} million packets done, {rate:.1f} M/s")
+        reporter.phase(
+            f"{phase}: {events / 1e6:.0f} million events, {died / 1e6:.1f} million packets done, {rate:.1f} M/s"
+        )
 
     return tell
 
 
-def compiling(talk: ProgressReporter, kind: str = SIMULATOR) -> Any:
+def compiling(reporter: ProgressReporter, kind: str = SIMULATOR) -> Any:
     """While this lasts, kernels that have to be compiled are told of."""
     from raygrid.emulator.processes import told_of
 
-    return told_of(talk.warming, kind, KERNELS)
+    return told_of(reporter.warming, kind, KERNELS)
 
 
 def _check_outputs(request: SimulateRequest) -> None:
@@ -140,7 +142,7 @@ def _written(request: SimulateRequest) -> list[str]:
     return written
 
 
-def _write(request: SimulateRequest, done: Simulated, talk: ProgressReporter) -> dict[str, Any]:
+def _write(request: SimulateRequest, done: Simulated, reporter: ProgressReporter) -> dict[str, Any]:
     from raygrid.host.image.picture import Picture
     from raygrid.host.machine_time.simulate_stats import make_stats, save_csv
     from raygrid.host.render.stats import save_stats
@@ -148,7 +150,7 @@ def _write(request: SimulateRequest, done: Simulated, talk: ProgressReporter) ->
     stats = make_stats(done)
     picture = Picture(done.sums, done.job.frame.samples, stats)
     for output in request.outputs:
-        talk.phase(f"writing {output}")
+        reporter.phase(f"writing {output}")
         picture.save(output, request.transfer)
     if request.stats is not None:
         save_stats(request.stats, {"nodes": [], **stats})
@@ -157,7 +159,7 @@ def _write(request: SimulateRequest, done: Simulated, talk: ProgressReporter) ->
     if request.plots is not None:
         from raygrid.host.machine_time.plots import save_plots
 
-        talk.phase("drawing plots")
+        reporter.phase("drawing plots")
         with made_folder(request.plots):
             save_plots(request.plots, done)
     return stats

@@ -176,8 +176,8 @@ def _request(order: SubmitRequest) -> Facts:
 
 def _follow(listener: EventListener, job: int, frames: int, as_json: bool, quiet: bool) -> None:
     """Tell of a job until it has ended. Raises ArrayError unless it is done."""
-    with ProgressReporter(quiet or as_json) as talk:
-        teller = _JobReporter(talk, job, frames)
+    with ProgressReporter(quiet or as_json) as reporter:
+        teller = _JobReporter(reporter, job, frames)
         for event in listener.follow():
             if as_json:
                 write_result(json.dumps({key: value for key, value in event.items() if key != "is"}))
@@ -191,10 +191,10 @@ def _follow(listener: EventListener, job: int, frames: int, as_json: bool, quiet
 class _JobReporter:
     """Events as a person reads them: files to standard output, the rest as a live line."""
 
-    def __init__(self, talk: ProgressReporter, job: int, frames: int) -> None:
-        self._talk, self._job, self._frames = talk, job, frames
+    def __init__(self, reporter: ProgressReporter, job: int, frames: int) -> None:
+        self._reporter, self._job, self._frames = reporter, job, frames
         self._phase: str | None = None
-        talk.phase(f"job {job} is queued")
+        reporter.phase(f"job {job} is queued")
 
     def tell(self, event: Facts) -> None:
         """Tell of one event."""
@@ -202,9 +202,9 @@ class _JobReporter:
         if what == "progress":
             self._progress(event)
         elif what == "note":
-            self._talk.remark(event["text"])
+            self._reporter.remark(event["text"])
         elif what == "fault":
-            self._talk.remark(f"the array failed and was repaired: {event['text']}")
+            self._reporter.remark(f"the array failed and was repaired: {event['text']}")
         elif what == "frame":
             for file in (*([] if event["skipped"] else event["files"]), *event["played"]):
                 write_result(os.path.relpath(file) if _is_below(file) else file)
@@ -214,21 +214,21 @@ class _JobReporter:
         if self._frames == 1:
             if words != self._phase:
                 self._phase = words
-                self._talk.phase(words, 1 if event["phase"] == "trace" else None)
+                self._reporter.phase(words, 1 if event["phase"] == "trace" else None)
             if event["phase"] == "trace":
-                self._talk.part(event["part"], f"{event['in_flight']:,} packets in flight")
+                self._reporter.part(event["part"], f"{event['in_flight']:,} packets in flight")
             return
         if self._phase is None:
             self._phase = ""
-            self._talk.phase(f"job {self._job}", self._frames)
-        self._talk.part(
+            self._reporter.phase(f"job {self._job}", self._frames)
+        self._reporter.part(
             event["done"] + event["part"], f"frame {event['frame']}: {words}, {event['done']} of {self._frames} done"
         )
 
     def sum_up(self, event: Facts, quiet: bool) -> None:
         """What is said of files that were there."""
         if not quiet and event.get("skipped"):
-            self._talk.remark(f"{event['skipped']} of {event['frames']} frames were there already")
+            self._reporter.remark(f"{event['skipped']} of {event['frames']} frames were there already")
 
 
 def _is_below(file: str) -> bool:

@@ -39,7 +39,7 @@ class TraceRequest:
 def run_trace(request: TraceRequest) -> None:
     """Load the scene into an array in memory, trace the pixel, print its tree. Raises RaygridError."""
     scene = load_scene(request.scene)
-    with ProgressReporter(False) as talk, compiling(talk, LOOKING):
+    with ProgressReporter(False) as reporter, compiling(reporter, LOOKING):
         job = still_job(scene, request.shape, Settings(**request.settings), request.frame)
         told = trace_pixel(job, *request.pixel, request.sample)
     if request.as_json:

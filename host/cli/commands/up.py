@@ -43,9 +43,9 @@ def run_up(launch: Launch) -> None:
     if record is not None and record.alive:
         raise runs_already(directory)
     processors = launch.shape[0] * launch.shape[1] * launch.shape[2]
-    with ProgressReporter(launch.quiet) as talk:
-        talk.phase(f"launching {processors} processors")
-        ready = _start(launch, talk)
+    with ProgressReporter(launch.quiet) as reporter:
+        reporter.phase(f"launching {processors} processors")
+        ready = _start(launch, reporter)
     seconds = round(time.perf_counter() - begun, 3)
     if launch.as_json:
         facts = {"name": launch.name, "array": list(launch.shape), **ready, "wall_seconds": seconds}
@@ -72,7 +72,7 @@ def run_up(launch: Launch) -> None:
         )
 
 
-def _start(launch: Launch, talk: ProgressReporter) -> dict[str, Any]:
+def _start(launch: Launch, reporter: ProgressReporter) -> dict[str, Any]:
     """Start the process; returns what it says when it is ready."""
     arguments = [launch.name, "--array", *map(str, launch.shape)]
     arguments += ["--batch", str(launch.batch), "--patience", str(launch.patience)]
@@ -90,7 +90,7 @@ def _start(launch: Launch, talk: ProgressReporter) -> dict[str, Any]:
     except OSError as error:
         raise ArrayError(f"the service cannot be started with {sys.executable!r}: {error}") from error
     try:
-        ready = _listen(process, launch.name, talk)
+        ready = _listen(process, launch.name, reporter)
     except BaseException:
         _end(process)
         raise
@@ -98,14 +98,14 @@ def _start(launch: Launch, talk: ProgressReporter) -> dict[str, Any]:
     return ready
 
 
-def _listen(process: subprocess.Popen[bytes], name: str, talk: ProgressReporter) -> dict[str, Any]:
+def _listen(process: subprocess.Popen[bytes], name: str, reporter: ProgressReporter) -> dict[str, Any]:
     assert process.stdout is not None
     assert process.stderr is not None
     with process.stdout as said, process.stderr as words:
         for line in said:
             message: dict[str, Any] = json.loads(line)
             if message["is"] == "warming":
-                talk.warming(message["done"], message["total"], message["what"])
+                reporter.warming(message["done"], message["total"], message["what"])
             elif message["is"] == "ready":
                 return message
             else:

@@ -31,8 +31,8 @@ def machine(job, room, budget=None):
 def picture(naive, job):
     """The sums of all homes, int64 (height, width, 3), without the samples beside the world box."""
     sums = np.zeros((job.pixels, 3), np.int64)
-    for tracer in naive.tracers:
-        pixels = tracer.pixels
+    for node_state in naive.tracers:
+        pixels = node_state.pixels
         row = np.repeat(np.arange(len(pixels.first)), np.diff(pixels.offsets))
         column = np.arange(len(row)) - pixels.offsets[row] + pixels.first[row]
         np.add.at(sums, (pixels.first_row + row) * job.frame.width + column, pixels.sums)

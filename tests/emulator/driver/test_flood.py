@@ -31,13 +31,13 @@ def load_and_listen(space, surfaces, order=forwards):
     array = MemoryArray(space.shape, order=order)
     handed = {processor.index: Counter() for processor in array.processors}
     for processor in array.processors:
-        retain, counter = processor.tracer.retain, handed[processor.index]
+        retain, counter = processor.node_state.retain, handed[processor.index]
 
         def listen(batch, boxes, retain=retain, counter=counter):
             counter.update(batch.ids.tolist())
             return retain(batch, boxes)
 
-        processor.tracer.retain = listen
+        processor.node_state.retain = listen
     array.driver.ready()
     array.driver.load(space, surfaces)
     return array, handed
@@ -49,7 +49,7 @@ def check_retained(array, space, surfaces, handed) -> None:
         cell = make_cell(space, processor.index)
         low, high = np.array(cell.low_at), np.array(cell.high_at)
         touching = {int(i) for group in surfaces for i in group.ids[meets(group, low, high)]}
-        kept = [int(i) for group in processor.tracer.retained for i in group.ids]
+        kept = [int(i) for group in processor.node_state.retained for i in group.ids]
         assert sorted(kept) == sorted(touching)
         assert max(handed[processor.index].values(), default=1) == 1, "a description came twice"
 
@@ -126,8 +126,8 @@ def test_the_end_of_loading_is_not_believed_too_soon():
     array.driver.ready()
     array.driver.load(space, surfaces)
     for processor in (above, beside, far):
-        assert len(processor.tracer.retained) == 1
-        assert len(processor.tracer.surfaces.triangles) == 1, "the tables were made without it"
+        assert len(processor.node_state.retained) == 1
+        assert len(processor.node_state.surfaces.triangles) == 1, "the tables were made without it"
 
 
 def test_messages_of_one_surface_and_a_world_in_one_corner(monkeypatch):
@@ -136,7 +136,7 @@ def test_messages_of_one_surface_and_a_world_in_one_corner(monkeypatch):
     surfaces, space = SurfaceSet((batch(Kind.TRIANGLE, rows),)), even_space((3, 3, 3))
     array, handed = load_and_listen(space, surfaces, haphazard(1))
     check_retained(array, space, surfaces, handed)
-    holders = [processor.index for processor in array.processors if processor.tracer.retained]
+    holders = [processor.index for processor in array.processors if processor.node_state.retained]
     assert holders == [(2, 2, 2)]
     assert sum(sum(counter.values()) for counter in handed.values()) == 60
 

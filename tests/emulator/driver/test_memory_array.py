@@ -124,7 +124,7 @@ def test_no_light_at_all():
 @pytest.mark.parametrize("name", SMALL)
 @pytest.mark.parametrize("order", ["shuffled", "lazy"])
 def test_at_every_moment_the_packets_there_are_those_born_and_not_dead(name, order, monkeypatch):
-    monkeypatch.setattr(tracer_module, "TURN", 1)  # what is born and dies in one turn is never seen
+    monkeypatch.setattr(tracer_module, "BATCH_RAYS", 1)  # what is born and dies in one turn is never seen
     seen = []
 
     def look() -> None:
@@ -178,7 +178,7 @@ def test_a_pass_ends_only_when_nothing_is_alive(seed):
 
 def test_one_wave_alone_would_be_deceived(monkeypatch):
     """Sums of a wave can say that all have died while packets are alive: that is why it takes two."""
-    monkeypatch.setattr(tracer_module, "TURN", 1)
+    monkeypatch.setattr(tracer_module, "BATCH_RAYS", 1)
     deceived = 0
     for seed in range(25):
         array = launched("2x2x1", order=haphazard(seed), batch=1)
@@ -272,12 +272,12 @@ def test_another_scene_after_the_first_leaves_nothing_of_it():
     load(fresh, "3x1x2", scene(2))
     assert retained_ids(array) == retained_ids(fresh)
     for used, new in zip(array.processors, fresh.processors, strict=True):
-        assert used.tracer.memory["surfaces"] == new.tracer.memory["surfaces"]
+        assert used.node_state.memory["surfaces"] == new.node_state.memory["surfaces"]
 
 
 def test_an_array_of_one_serves_all_the_same():
     array = launched("1x1x1")
     for seed in (1, 2, 1):
         assert same(render(array, "1x1x1", scene(seed)), truth(seed))
-    assert array.processors[0].tracer.counts[BORN + 1] == array.processors[0].tracer.counts[DIED + 1]
+    assert array.processors[0].node_state.counts[BORN + 1] == array.processors[0].node_state.counts[DIED + 1]
     assert all(link.messages_sent > 0 for link in array.driver.links.values())

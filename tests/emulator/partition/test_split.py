@@ -119,7 +119,7 @@ def test_nothing_is_estimated_where_there_is_no_choice(monkeypatch: pytest.Monke
     def refuse(*_: object) -> None:
         raise AssertionError("a pilot flew")
 
-    monkeypatch.setattr(split_module, "_by_pilot", refuse)
+    monkeypatch.setattr(split_module, "_by_prepass", refuse)
     job_of("tiny.nff", (1, 1, 1))
     job_of("tiny.nff", (2, 2, 2), split="uniform")
 
@@ -149,23 +149,23 @@ def test_a_kind_or_shape_that_cannot_be_is_named() -> None:
 @pytest.mark.parametrize("kind", ["uniform", "balanced"])
 def test_walks_are_counted_as_the_nodes_count_them(name: str, shape: Shape, kind: str) -> None:
     job = job_of(name, shape, size=(40, 30), samples=1, split=kind, min_weight=0.0)
-    pilot = run_prepass(job.world.step, job.surfaces, job.frame)
-    np.testing.assert_array_equal(by_cell(count_work(pilot, job.space, WALKS)), walks_of(job))
+    prepass = run_prepass(job.world.step, job.surfaces, job.frame)
+    np.testing.assert_array_equal(by_cell(count_work(prepass, job.space, WALKS)), walks_of(job))
 
 
 def test_a_choice_of_planes_of_a_finer_grid_has_the_walks_of_its_own_grid() -> None:
     job = job_of("kinds.nff", (1, 1, 1), size=(30, 30))
-    pilot = run_prepass(job.world.step, job.surfaces, job.frame)
+    prepass = run_prepass(job.world.step, job.surfaces, job.frame)
     rng = np.random.default_rng(7)
     lines = [np.sort(rng.choice(np.arange(1000, LATTICE - 1000, 1000), 9, replace=False)) for _ in range(3)]
     fine = make_space(job.world.step, [[0, *line.tolist(), LATTICE] for line in lines])
-    work = count_work(pilot, fine, WALKS)
+    work = count_work(prepass, fine, WALKS)
     planes = np.array([[0, 2, 5, 10], [0, 1, 10, 0], [0, 4, 9, 10]])
     before = planes.copy()
     cost = improve(work, (3, 2, 3), planes)  # the planes move, and their cost is that of their own grid
     assert planes.tolist() != before.tolist()
     chosen = [fine.planes[axis, planes[axis, : cells + 1]].tolist() for axis, cells in enumerate((3, 2, 3))]
-    cells = by_cell(count_work(pilot, make_space(job.world.step, chosen), WALKS))
+    cells = by_cell(count_work(prepass, make_space(job.world.step, chosen), WALKS))
     assert cost == pytest.approx(cells.max() + 0.5 * cells.mean(), rel=0.05)
 
 
@@ -258,7 +258,7 @@ def test_a_split_waits_for_kernels_once(monkeypatch: pytest.MonkeyPatch) -> None
         if len(calls) == 1:
             raise NotCompiledError
 
-    monkeypatch.setattr(split_module, "_by_pilot", fails_first)
+    monkeypatch.setattr(split_module, "_by_prepass", fails_first)
     job = job_of("tiny.nff", (1, 1, 1))
     split("balanced", (2, 2, 2), job.world, job.surfaces, job.frame, lambda: calls.append("wait"))
     assert calls == ["try", "wait", "try"]

@@ -154,7 +154,7 @@ def test_a_node_holds_the_surfaces_that_touch_its_cell_and_no_other(eight, name)
     array = MemoryArray(EIGHT)
     array.driver.load(made.space, made.surfaces)
     for processor, node in zip(array.processors, nodes, strict=True):
-        assert processor.tracer.memory["surfaces"] == node["memory"]["surfaces"]
+        assert processor.node_state.memory["surfaces"] == node["memory"]["surfaces"]
 
 
 # --- the same bits, conservation, bounds ---------------------------------------------------------

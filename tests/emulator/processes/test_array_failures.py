@@ -66,7 +66,7 @@ def pump(array: MemoryArray, rounds: int) -> None:
 def busiest(array: MemoryArray) -> tuple[tuple[int, int, int], int]:
     """A port by which many packets go: (node, port)."""
     counts = {
-        (processor.index, port): int(processor.tracer.counts[14 + port])
+        (processor.index, port): int(processor.node_state.counts[14 + port])
         for processor in array.processors
         for port in processor.links
         if port != HOST
@@ -125,11 +125,11 @@ def test_a_node_that_stops_working_is_named():
     array = hasty()
     load(array, NAME, scene())
     (lame,) = [processor for processor in array.processors if processor.index == where()[0]]
-    lame.tracer.work = lambda wait: BATCH_IDLE
+    lame.node_state.work = lambda wait: BATCH_IDLE
     index = ",".join(map(str, lame.index))
     with pytest.raises(Stuck, match=rf"no counter moved for 0\.2 seconds .*; (.*; )?{index} holds \d+"):
         array.driver.trace(scene().frame)
-    del lame.tracer.work
+    del lame.node_state.work
     still_right(array)
 
 
@@ -329,12 +329,12 @@ def test_a_wrong_quota_is_refused(quota):
 
 
 @pytest.mark.parametrize("pace", [{"gather": None}, {"gather": 1.5}, {"linger": 2.0}, {"linger": "x"}, {"flush": None}])
-def test_a_wrong_pace_is_refused(pace):
+def test_a_wrong_pace_is_refused(tuning):
     array = launched("1x1x1")
     load(array, "1x1x1", scene())
     array.driver.trace(scene().frame)
     with pytest.raises(ArrayError, match="gather, linger and flush came as"):
-        array.driver.wave({"do": "trace", "quota": 0, **pace})
+        array.driver.wave({"do": "trace", "quota": 0, **tuning})
 
 
 @pytest.mark.parametrize(

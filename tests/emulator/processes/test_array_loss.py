@@ -148,9 +148,9 @@ def test_an_interrupt_while_tracing_ends_the_array():
 def test_closing_says_goodbye_and_may_be_done_twice(shape):
     array = Array.launch(shape, patience=PATIENCE)
     ends = []
-    nursery = array._nursery
-    read = nursery.read_events
-    nursery.read_events = lambda: [ends.append(event) or event for event in read()]
+    fork_server = array._fork_server
+    read = fork_server.read_events
+    fork_server.read_events = lambda: [ends.append(event) or event for event in read()]
     pids = array.pids
     array.close()
     assert not any(psutil.pid_exists(pid) for pid in pids)

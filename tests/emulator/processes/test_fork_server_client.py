@@ -39,52 +39,52 @@ def start(warm: str = "warm_quickly", **options) -> ForkServerClient:
 
 def test_warming_is_reported_and_the_start_does_not_wait_for_it():
     told = []
-    with start(on_warming=lambda *step: told.append(step)) as nursery:
-        assert not nursery.warm
+    with start(on_warming=lambda *step: told.append(step)) as fork_server:
+        assert not fork_server.warm
         assert told == []
-        nursery.wait_warm(TIMEOUT)
+        fork_server.wait_warm(TIMEOUT)
         assert told == [(0, 3, "kernel 0"), (1, 3, "kernel 1"), (2, 3, "kernel 2"), (3, 3, "ready")]
-        assert nursery.read_events() == []
+        assert fork_server.read_events() == []
 
 
 def test_warming_comes_as_events_without_a_callback():
-    with start() as nursery:
-        nursery.wait_warm(TIMEOUT)
-        wait_readable(nursery.fileno(), "the events held back")
-        assert nursery.read_events()[-1] == Warming(3, 3, "ready")
-        assert not select.select([nursery.fileno()], [], [], 0)[0]
+    with start() as fork_server:
+        fork_server.wait_warm(TIMEOUT)
+        wait_readable(fork_server.fileno(), "the events held back")
+        assert fork_server.read_events()[-1] == Warming(3, 3, "ready")
+        assert not select.select([fork_server.fileno()], [], [], 0)[0]
 
 
 def test_reports_are_kept_for_a_front_end_that_does_not_listen():
     told = []
-    with start("warm_at_length", on_warming=lambda *step: told.append(step[0])) as nursery:
-        wait_readable(nursery.fileno(), "the first report")
-        while nursery.read_events() or len(told) < 3000:
-            wait_readable(nursery.fileno(), "the next report")
+    with start("warm_at_length", on_warming=lambda *step: told.append(step[0])) as fork_server:
+        wait_readable(fork_server.fileno(), "the first report")
+        while fork_server.read_events() or len(told) < 3000:
+            wait_readable(fork_server.fileno(), "the next report")
         assert told == list(range(3000))
 
 
 def test_27_nodes_in_one_go_and_more_later(gate: Gate):
-    with start() as nursery:
-        pids = nursery.launch([gate.config(number) for number in range(27)])
+    with start() as fork_server:
+        pids = fork_server.launch([gate.config(number) for number in range(27)])
         hellos = gate.wait_for(27)
         assert {hello.index: hello.pid for hello in hellos} == {(n, 0, 0): pid for n, pid in enumerate(pids)}
-        assert nursery.pids == {pid: (n, 0, 0) for n, pid in enumerate(pids)}
-        assert {psutil.Process(pid).ppid() for pid in pids} == {nursery.pid}
-        later = nursery.launch([gate.config(99)])
+        assert fork_server.pids == {pid: (n, 0, 0) for n, pid in enumerate(pids)}
+        assert {psutil.Process(pid).ppid() for pid in pids} == {fork_server.pid}
+        later = fork_server.launch([gate.config(99)])
         assert gate.wait_for(1)[0].pid == later[0]
-        assert len(nursery.pids) == 28
-    assert not any(psutil.pid_exists(pid) for pid in (*pids, *later, nursery.pid))
+        assert len(fork_server.pids) == 28
+    assert not any(psutil.pid_exists(pid) for pid in (*pids, *later, fork_server.pid))
     gate.wait_empty()
 
 
 @pytest.mark.parametrize("warm", ["warm_quickly", "warm_untidily"])
 def test_a_node_holds_no_descriptor_but_the_documented_ones(gate: Gate, warm):
     inheritable = os.memfd_create("of the front end", 0)
-    with start(warm) as nursery:
+    with start(warm) as fork_server:
         os.close(inheritable)
         for number in range(3):  # later ones must not inherit what belongs to earlier ones
-            nursery.launch([gate.config(number)])
+            fork_server.launch([gate.config(number)])
             hello = gate.wait_for(1)[0]
             assert set(hello.descriptors) == {0, 1, 2, hello.life, hello.line}
             assert hello.descriptors[hello.line].startswith("socket:")
@@ -96,46 +96,46 @@ def test_a_node_holds_no_descriptor_but_the_documented_ones(gate: Gate, warm):
 def test_a_node_has_default_signals_and_no_terminal(gate: Gate):
     held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGCHLD})
     try:
-        nursery = start()
+        fork_server = start()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, held)
-    with nursery:
-        nursery.launch([gate.config()])
+    with fork_server:
+        fork_server.launch([gate.config()])
         (hello,) = gate.wait_for(1)
         ignored, caught = int(hello.status["SigIgn"], 16), int(hello.status["SigCgt"], 16)
         assert int(hello.status["SigBlk"], 16) == 0
         assert ignored & 1 << (signal.SIGINT - 1)
         assert not (ignored | caught) & (1 << (signal.SIGTERM - 1) | 1 << (signal.SIGCHLD - 1))
         assert hello.status["Threads"] == "1"
-        assert os.getsid(hello.pid) == nursery.pid != os.getsid(0)
+        assert os.getsid(hello.pid) == fork_server.pid != os.getsid(0)
 
 
 def test_a_large_config_arrives_whole(gate: Gate):
-    with start() as nursery:
-        nursery.launch([gate.config(ballast=bytes(10_000_000))])
+    with start() as fork_server:
+        fork_server.launch([gate.config(ballast=bytes(10_000_000))])
         gate.wait_for(1)
 
 
 @pytest.mark.parametrize("index", [None, [1, 2], [1, 2, "3"], 7])
 def test_a_config_must_say_which_node_it_is_for(index):
-    with start() as nursery, pytest.raises(ArrayError, match=r"came with index .*, wanted three whole numbers"):
-        nursery.launch([{"index": index}])
+    with start() as fork_server, pytest.raises(ArrayError, match=r"came with index .*, wanted three whole numbers"):
+        fork_server.launch([{"index": index}])
 
 
 def test_a_config_that_cannot_be_sent_is_refused(gate: Gate):
-    with start() as nursery:
+    with start() as fork_server:
         with pytest.raises(ArrayError, match=r"config cannot be sent: .*object"):
-            nursery.launch([gate.config(strange=object())])
-        nursery.launch([gate.config()])  # and does no harm
+            fork_server.launch([gate.config(strange=object())])
+        fork_server.launch([gate.config()])  # and does no harm
         gate.wait_for(1)
 
 
 def test_a_launch_that_cannot_fork_all_forks_none(gate: Gate):
-    with start(warm="warm_with_few_processes") as nursery:
+    with start(warm="warm_with_few_processes") as fork_server:
         with pytest.raises(ArrayError, match="node 3 of 5 could not be forked: Resource temporarily unavailable"):
-            nursery.launch([gate.config(number) for number in range(5)])
-        assert psutil.Process(nursery.pid).children() == []
-        assert nursery.pids == {}
+            fork_server.launch([gate.config(number) for number in range(5)])
+        assert psutil.Process(fork_server.pid).children() == []
+        assert fork_server.pids == {}
 
 
 # --- ends of nodes -------------------------------------------------------------------------------
@@ -150,9 +150,9 @@ def test_each_end_is_reported_with_the_node_and_the_reason(gate: Gate):
         gate.config(4, "refuse", words="node 4,0,0: a packet came, wanted none"),
         gate.config(5),
     ]
-    with start() as nursery:
-        pids = nursery.launch(configs)
-        ended = sorted(wait_ended(nursery, 5), key=lambda event: event.index)
+    with start() as fork_server:
+        pids = fork_server.launch(configs)
+        ended = sorted(wait_ended(fork_server, 5), key=lambda event: event.index)
         assert [event.index[0] for event in ended] == [0, 1, 2, 3, 4]
         assert [event.pid for event in ended] == pids[:5]
         assert [event.code for event in ended] == [0, 3, None, 1, 1]
@@ -164,7 +164,7 @@ def test_each_end_is_reported_with_the_node_and_the_reason(gate: Gate):
             "exit code 1: node 4,0,0: a packet came, wanted none",
         ]
         assert str(ended[2]) == f"node 2,0,0 (process {pids[2]}) ended by signal SIGKILL"
-        assert nursery.pids == {pids[5]: (5, 0, 0)}
+        assert fork_server.pids == {pids[5]: (5, 0, 0)}
 
 
 @pytest.mark.parametrize(
@@ -178,47 +178,47 @@ def test_each_end_is_reported_with_the_node_and_the_reason(gate: Gate):
 )
 def test_what_a_library_says_before_it_ends_a_node_is_passed_on(gate: Gate, monkeypatch, status, why):
     monkeypatch.delenv("RAYGRID_DEBUG", raising=False)  # or all of it goes to the terminal
-    with start() as nursery:
-        nursery.launch([gate.config(0, "say and end", said="no memory for a thread's data\n", status=status)])
-        (event,) = wait_ended(nursery, 1)
+    with start() as fork_server:
+        fork_server.launch([gate.config(0, "say and end", said="no memory for a thread's data\n", status=status)])
+        (event,) = wait_ended(fork_server, 1)
         assert event.why == why
 
 
 def test_what_a_library_says_is_passed_on_once_and_for_the_node_that_it_ended(gate: Gate, monkeypatch):
     monkeypatch.delenv("RAYGRID_DEBUG", raising=False)
-    with start() as nursery:
-        nursery.launch([gate.config(0, "say and end", said="Out of memory (src/msg.cpp:1)\n", status=0)])
-        wait_ended(nursery, 1)
+    with start() as fork_server:
+        fork_server.launch([gate.config(0, "say and end", said="Out of memory (src/msg.cpp:1)\n", status=0)])
+        wait_ended(fork_server, 1)
         for number, why in (1, "signal SIGABRT: Out of memory (src/msg.cpp:1)"), (2, "signal SIGABRT"):
-            nursery.launch([gate.config(number, "kill", signal=int(signal.SIGABRT))])
-            (event,) = wait_ended(nursery, 1)
+            fork_server.launch([gate.config(number, "kill", signal=int(signal.SIGABRT))])
+            (event,) = wait_ended(fork_server, 1)
             assert event.why == why
 
 
 def test_the_traceback_is_shown_on_demand(gate: Gate, monkeypatch, capfd):
     monkeypatch.setenv("RAYGRID_DEBUG", "1")
-    with start() as nursery:
-        nursery.launch([gate.config(0, "raise", words="broken")])
-        (event,) = wait_ended(nursery, 1)
+    with start() as fork_server:
+        fork_server.launch([gate.config(0, "raise", words="broken")])
+        (event,) = wait_ended(fork_server, 1)
     assert event.words == "ValueError: broken"
     assert "Traceback" in capfd.readouterr().err
 
 
 def test_nothing_goes_to_the_terminal_without_demand(gate: Gate, monkeypatch, capfd):
     monkeypatch.delenv("RAYGRID_DEBUG", raising=False)
-    with start() as nursery:
-        nursery.launch([gate.config(0, "raise", words="broken")])
-        wait_ended(nursery, 1)
-        assert nursery.words == "raygrid node 0,0,0: ValueError: broken\n"
+    with start() as fork_server:
+        fork_server.launch([gate.config(0, "raise", words="broken")])
+        wait_ended(fork_server, 1)
+        assert fork_server.words == "raygrid node 0,0,0: ValueError: broken\n"
     assert capfd.readouterr() == ("", "")
 
 
 def test_a_babbling_node_is_drained_and_its_end_attributed(gate: Gate):
-    with start() as nursery:
-        nursery.launch([gate.config(7, "babble")])
-        (event,) = wait_ended(nursery, 1)
+    with start() as fork_server:
+        fork_server.launch([gate.config(7, "babble")])
+        (event,) = wait_ended(fork_server, 1)
         assert event.why == "exit code 1: ValueError: nothing more to say"
-        assert len(nursery.words) < 20_000
+        assert len(fork_server.words) < 20_000
 
 
 # --- the end of everything -----------------------------------------------------------------------
@@ -226,19 +226,19 @@ def test_a_babbling_node_is_drained_and_its_end_attributed(gate: Gate):
 
 def test_ending_twice_is_ending_once(gate: Gate):
     before = open_descriptors()
-    nursery = start()
-    nursery.launch([gate.config()])
+    fork_server = start()
+    fork_server.launch([gate.config()])
     (hello,) = gate.wait_for(1)
-    nursery.end()
+    fork_server.end()
     assert not psutil.pid_exists(hello.pid)
-    assert not psutil.pid_exists(nursery.pid)
-    nursery.end()
-    assert not nursery.alive
-    assert nursery.read_events() == []
+    assert not psutil.pid_exists(fork_server.pid)
+    fork_server.end()
+    assert not fork_server.alive
+    assert fork_server.read_events() == []
     with pytest.raises(ArrayError, match="was ended"):
-        nursery.fileno()
+        fork_server.fileno()
     with pytest.raises(ArrayError, match="was ended"):
-        nursery.launch([gate.config()])
+        fork_server.launch([gate.config()])
     gate.wait_empty()
     assert len(open_descriptors()) <= len(before) + 1  # the gate's connection
 
@@ -246,8 +246,8 @@ def test_ending_twice_is_ending_once(gate: Gate):
 def test_a_node_that_ignores_sigterm_and_one_that_is_stopped_are_killed(gate: Gate, tmp_path):
     file = tmp_path / "file"
     os.mkfifo(file)
-    with start() as nursery:
-        nursery.launch([gate.config(0, "deaf", file=str(file)), gate.config(1)])
+    with start() as fork_server:
+        fork_server.launch([gate.config(0, "deaf", file=str(file)), gate.config(1)])
         assert file.read_text() == "deaf"
         pids = [hello.pid for hello in gate.wait_for(2)]
         os.kill(pids[1], signal.SIGSTOP)
@@ -255,42 +255,42 @@ def test_a_node_that_ignores_sigterm_and_one_that_is_stopped_are_killed(gate: Ga
 
 
 def test_ending_does_not_wait_for_the_warming():
-    nursery = start(warm="warm_for_ever")
-    while not any(isinstance(event, Warming) for event in nursery.read_events()):
-        wait_readable(nursery.fileno(), "the first report")
-    nursery.end(timeout=1e6)
-    assert not psutil.pid_exists(nursery.pid)
+    fork_server = start(warm="warm_for_ever")
+    while not any(isinstance(event, Warming) for event in fork_server.read_events()):
+        wait_readable(fork_server.fileno(), "the first report")
+    fork_server.end(timeout=1e6)
+    assert not psutil.pid_exists(fork_server.pid)
 
 
 def test_an_exception_in_the_front_end_leaves_nothing(gate: Gate):
-    nursery = start()
-    nursery.launch([gate.config()])
+    fork_server = start()
+    fork_server.launch([gate.config()])
     gate.wait_for(1)
-    with pytest.raises(ZeroDivisionError), nursery:
+    with pytest.raises(ZeroDivisionError), fork_server:
         _ = 1 / 0
     gate.wait_empty()
 
 
 def test_a_nursery_that_hangs_is_killed_with_its_nodes(gate: Gate):
-    with start() as nursery:
-        nursery.launch([gate.config(number) for number in range(3)])
+    with start() as fork_server:
+        fork_server.launch([gate.config(number) for number in range(3)])
         gate.wait_for(3)
-        os.kill(nursery.pid, signal.SIGSTOP)
-        nursery.end(timeout=0.05)
+        os.kill(fork_server.pid, signal.SIGSTOP)
+        fork_server.end(timeout=0.05)
     gate.wait_empty()
 
 
 def test_a_fork_of_the_front_end_does_not_end_its_nodes(gate: Gate):
-    with start() as nursery:
-        (pid,) = nursery.launch([gate.config()])
+    with start() as fork_server:
+        (pid,) = fork_server.launch([gate.config()])
         gate.wait_for(1)
         fork = os.fork()
         if fork == 0:
-            nursery.end()
+            fork_server.end()
             os._exit(0)
         assert os.waitpid(fork, 0)[1] == 0
         assert psutil.pid_exists(pid)
-        assert nursery.launch([gate.config(1)])
+        assert fork_server.launch([gate.config(1)])
         gate.wait_for(1)
 
 
@@ -299,10 +299,10 @@ def test_nodes_outlive_the_thread_that_started_the_nursery(gate: Gate):
     thread = threading.Thread(target=lambda: started.append(start()))
     thread.start()
     thread.join()
-    with started[0] as nursery:
-        nursery.launch([gate.config()])
+    with started[0] as fork_server:
+        fork_server.launch([gate.config()])
         gate.wait_for(1)
-        assert nursery.alive
+        assert fork_server.alive
 
 
 # --- a nursery that fails ------------------------------------------------------------------------
@@ -310,28 +310,28 @@ def test_nodes_outlive_the_thread_that_started_the_nursery(gate: Gate):
 
 def test_a_program_that_is_not_there():
     said = r"exit code 1 before it was warm: raygrid nursery: ModuleNotFoundError: No"
-    with ForkServerClient.start(program="no_such_program") as nursery, pytest.raises(ArrayError, match=said):
-        nursery.wait_warm(TIMEOUT)
+    with ForkServerClient.start(program="no_such_program") as fork_server, pytest.raises(ArrayError, match=said):
+        fork_server.wait_warm(TIMEOUT)
 
 
 def test_files_where_the_user_stands_are_not_imported(monkeypatch, tmp_path):
     (tmp_path / "msgpack.py").write_text("raise SystemExit(9)")
     monkeypatch.chdir(tmp_path)
-    with start() as nursery:
-        nursery.wait_warm(TIMEOUT)
+    with start() as fork_server:
+        fork_server.wait_warm(TIMEOUT)
 
 
 def test_warming_that_fails_is_told():
-    with start(warm="warm_badly") as nursery:
+    with start(warm="warm_badly") as fork_server:
         with pytest.raises(ArrayError, match="RuntimeError: no compiler"):
-            nursery.launch([])
-        assert not nursery.alive
+            fork_server.launch([])
+        assert not fork_server.alive
 
 
 def test_warming_that_takes_too_long_is_told():
     said = r"did not become warm within 0\.05 seconds"
-    with start(warm="warm_for_ever") as nursery, pytest.raises(ArrayError, match=said):
-        nursery.wait_warm(0.05)
+    with start(warm="warm_for_ever") as fork_server, pytest.raises(ArrayError, match=said):
+        fork_server.wait_warm(0.05)
 
 
 def test_a_front_end_that_died_before_the_nursery_was_warm(pair):
@@ -352,29 +352,29 @@ def test_a_python_that_cannot_be_run(monkeypatch):
 
 
 def test_a_killed_nursery_is_reported_and_takes_its_nodes_along(gate: Gate):
-    with start() as nursery:
-        nursery.launch([gate.config(number, "wait" if number % 2 else "busy") for number in range(8)])
+    with start() as fork_server:
+        fork_server.launch([gate.config(number, "wait" if number % 2 else "busy") for number in range(8)])
         gate.wait_for(8)
-        nursery.read_events()
-        os.kill(nursery.pid, signal.SIGKILL)
+        fork_server.read_events()
+        os.kill(fork_server.pid, signal.SIGKILL)
         gate.wait_empty()
-        wait_readable(nursery.fileno(), "the end of the nursery")
+        wait_readable(fork_server.fileno(), "the end of the nursery")
         with pytest.raises(LostProcess, match=r"ended by signal SIGKILL: without a word"):
-            nursery.read_events()
-        assert not nursery.alive
+            fork_server.read_events()
+        assert not fork_server.alive
         with pytest.raises(LostProcess):
-            nursery.launch([gate.config()])
+            fork_server.launch([gate.config()])
 
 
 def test_the_life_pipe_alone_ends_a_node(gate: Gate, tmp_path):
     file = tmp_path / "file"
     os.mkfifo(file)
-    with start() as nursery:
-        nursery.launch([gate.config(n) for n in range(3)])
-        nursery.launch([gate.config(9, "deaf until life ends", file=str(file))])
+    with start() as fork_server:
+        fork_server.launch([gate.config(n) for n in range(3)])
+        fork_server.launch([gate.config(9, "deaf until life ends", file=str(file))])
         assert file.read_text() == "waiting"
         gate.wait_for(4)
-        os.kill(nursery.pid, signal.SIGKILL)
+        os.kill(fork_server.pid, signal.SIGKILL)
         assert file.read_text() == "life ended"
         gate.wait_empty()
 

@@ -20,12 +20,12 @@ def said(capsys):
 
 
 def test_each_kind_of_kernels_is_named_once_and_how_many_there_are(said):
-    with ProgressReporter(False) as talk:
-        talk.warming(0, 338, "loading kernels")
+    with ProgressReporter(False) as reporter:
+        reporter.warming(0, 338, "loading kernels")
         assert said() == ""
         for kind in (kernel_kinds.NODES, kernel_kinds.SIMULATOR, kernel_kinds.NODES):
             for done in (1, 2):
-                talk.warming(done, 338, compiling("triangle", kind))
+                reporter.warming(done, 338, compiling("triangle", kind))
     assert said().splitlines() == [
         "compiling the kernels of nodes (kind 1 of 4), once on this computer: a minute",
         "compiling the kernels of the simulator (kind 3 of 4), once on this computer: a minute",
@@ -33,8 +33,8 @@ def test_each_kind_of_kernels_is_named_once_and_how_many_there_are(said):
 
 
 def test_remarks_on_kernels_are_notes(said):
-    with ProgressReporter(False) as talk:
-        talk.warming(3, 338, NOTE + "compiled kernels cannot be kept")
+    with ProgressReporter(False) as reporter:
+        reporter.warming(3, 338, NOTE + "compiled kernels cannot be kept")
     assert said() == "note: compiled kernels cannot be kept\n"
 
 

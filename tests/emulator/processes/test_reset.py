@@ -158,7 +158,7 @@ def test_if_nodes_cannot_be_forked_it_is_said_and_the_next_reset_may_succeed(arr
         def refuse(configs):
             raise ArrayError("the array could not be launched: node 1 of 1 could not be forked: no room")
 
-        patch.setattr(array._nursery, "launch", refuse)
+        patch.setattr(array._fork_server, "launch", refuse)
         with pytest.raises(ArrayError, match="could not be forked: no room"):
             array.reset()
         with pytest.raises(ArrayError, match="could not be forked: no room"):
@@ -169,17 +169,17 @@ def test_if_nodes_cannot_be_forked_it_is_said_and_the_next_reset_may_succeed(arr
 
 def test_links_that_never_come_up_lead_to_a_new_launch(array, monkeypatch):
     """Somebody takes the place of a neighbour again and again."""
-    nursery = array._nursery.pid
+    fork_server = array._fork_server.pid
     begin = Array._begin_epoch
 
     def fail(self):
-        if self._nursery.pid == nursery:
+        if self._fork_server.pid == fork_server:
             raise Stuck("nothing came from the array while waiting until the order 'ready' came back")
         begin(self)
 
     monkeypatch.setattr(Array, "_begin_epoch", fail)
     array.reset()
-    assert array._nursery.pid != nursery
+    assert array._fork_server.pid != fork_server
     still_right(array)
 
 
@@ -194,8 +194,8 @@ def test_all_nodes_may_be_dead(array):
 
 def test_a_lost_nursery_is_told_and_the_array_is_launched_anew(array):
     pids = array.pids
-    os.kill(array._nursery.pid, signal.SIGKILL)
-    wait_dead(array._nursery.pid)
+    os.kill(array._fork_server.pid, signal.SIGKILL)
+    wait_dead(array._fork_server.pid)
     with pytest.raises(LostProcess, match=r"the nursery \(process \d+\) ended by signal SIGKILL|ended: signal SIGTERM"):
         render_job(array.driver, job())
     array.reset()
@@ -217,7 +217,7 @@ def test_an_idle_array_says_that_a_node_is_lost(array):
     array.check()
     pid = array.pids[2]
     os.kill(pid, signal.SIGKILL)
-    wait_readable(array._crew.nursery.fileno(), "the end of the node")
+    wait_readable(array._node_processes.fork_server.fileno(), "the end of the node")
     for _ in range(2):
         with pytest.raises(LostProcess, match=rf"^node 0,1,0 \(pid {pid}\) ended: signal SIGKILL"):
             array.check()
@@ -271,10 +271,10 @@ def test_messages_of_an_older_epoch_are_counted_and_dropped(array):
 def _order_of(link, order) -> bytes:
     sent = []
     channel, link.channel = link.channel, type("Taken", (), {"send": lambda self, raw: sent.append(raw) or True})()
-    book = link._book.tolist()
+    link_state = link._link_state.tolist()
     link.send_order(MessageKind.DOWN, order)
-    for place, number in enumerate(book):
-        link._book[place] = number
+    for place, number in enumerate(link_state):
+        link._link_state[place] = number
     link.channel = channel
     return sent[0]
 
@@ -298,7 +298,7 @@ def test_words_that_are_no_order_change_nothing(array):
     pids, epoch = array.pids, array.epoch
     for words in RUBBISH:
         for index in indices(SHAPE):
-            assert array._crew.lines.send(index, words)
+            assert array._node_processes.lines.send(index, words)
     still_right(array)
     array.reset()
     assert (array.pids, array.epoch) == (pids, epoch + 1)

@@ -121,7 +121,7 @@ SCHEDULES = {"shuffled": shuffled, "haphazard": haphazard, "lazy": lazy}
 )
 def test_the_bounds_hold_at_every_moment(name, budget, schedule, monkeypatch):
     """Waves amid all activity, nodes that sleep, small messages: trees and packets are counted where they are."""
-    monkeypatch.setattr(tracer_module, "TURN", 1)  # what is born and dies in one turn is never seen
+    monkeypatch.setattr(tracer_module, "BATCH_RAYS", 1)  # what is born and dies in one turn is never seen
     most = {"trees": 0, "packets": 0}
 
     def look() -> None:
@@ -165,7 +165,7 @@ def slow_births(monkeypatch):
     """Homes that bear a few at a time, and so still may bear more when they answer a wave."""
     monkeypatch.setattr(tracer_module, "ADMIT_BELOW", 3)
     monkeypatch.setattr(tracer_module, "ADMIT_AT_ONCE", 2)
-    monkeypatch.setattr(tracer_module, "TURN", 3)
+    monkeypatch.setattr(tracer_module, "BATCH_RAYS", 3)
 
 
 @pytest.mark.usefixtures("slow_births")
@@ -242,7 +242,7 @@ def test_a_slow_node_makes_the_bound_come_true(budget, batch):
     if batch == 1:  # all but a window of them waited in the link, each in a message of its own
         assert 0.99 * allowed["links"] - WINDOW * 300 < waited <= allowed["links"]
     for processor in array.processors:
-        assert all(used <= allowed[what] for what, used in processor.tracer.memory.items() if what != "surfaces")
+        assert all(used <= allowed[what] for what, used in processor.node_state.memory.items() if what != "surfaces")
 
 
 def test_small_budgets_complete_and_bear_everything():
@@ -258,10 +258,10 @@ def test_small_budgets_complete_and_bear_everything():
 # --- memory --------------------------------------------------------------------------------------
 
 
-def counts_of(tracer) -> tuple[dict[str, int], int]:
+def counts_of(node_state) -> tuple[dict[str, int], int]:
     """Surfaces held by kind, and the points of polygons."""
-    held = {kind.name.lower(): sum(len(b) for b in tracer.retained if b.kind == kind) for kind in Kind}
-    return held, sum(len(b.data) for b in tracer.retained if b.kind == Kind.POLYGON)
+    held = {kind.name.lower(): sum(len(b) for b in node_state.retained if b.kind == kind) for kind in Kind}
+    return held, sum(len(b.data) for b in node_state.retained if b.kind == Kind.POLYGON)
 
 
 @pytest.mark.usefixtures("quick_records")
@@ -273,7 +273,7 @@ def test_the_memory_of_every_node_is_below_its_bound(name, budget):
     render(array, name, scene(), budget=budget)
     nodes = len(array.processors)
     for processor, record in zip(array.processors, array.driver.report(), strict=True):
-        surfaces = surfaces_bound(*counts_of(processor.tracer))
+        surfaces = surfaces_bound(*counts_of(processor.node_state))
         allowed = memory_bound(scene().frame, budget, nodes, 64, surfaces)
         assert record["index"] == list(processor.index)
         assert set(record["memory"]) == set(allowed)
@@ -288,9 +288,9 @@ def test_the_bound_of_surfaces_is_not_much_more_than_they_need():
     for kind in Kind:
         rows = [b for b in scene().surfaces if b.kind == kind]
         array.driver.load(space_of("1x1x1", EVEN_STEP), merge(rows))
-        tracer = array.processors[0].tracer
-        bound = surfaces_bound(*counts_of(tracer))
-        assert 0.25 * bound < tracer.memory["surfaces"] <= bound, kind
+        node_state = array.processors[0].node_state
+        bound = surfaces_bound(*counts_of(node_state))
+        assert 0.25 * bound < node_state.memory["surfaces"] <= bound, kind
 
 
 def test_memory_of_surfaces_falls_as_the_array_grows():
@@ -298,7 +298,7 @@ def test_memory_of_surfaces_falls_as_the_array_grows():
     for name in ("1x1x1", "2x2x2", "5x4x2"):
         array = launched(name)
         load(array, name, scene())
-        used.append(max(processor.tracer.memory["surfaces"] for processor in array.processors))
+        used.append(max(processor.node_state.memory["surfaces"] for processor in array.processors))
     assert used[0] > 2 * used[1] > 2.5 * used[2]
 
 
@@ -335,7 +335,7 @@ def test_the_flood_waits_in_bounded_room(monkeypatch):
     watch(array, look)
     array.driver.load(space_of("3x1x1", EVEN_STEP), many)
     assert idle[0] < 0
-    assert slow.tracer.retained
+    assert slow.node_state.retained
     assert most["unread"] <= WINDOW * 2  # links of the middle node; the slow one has a neighbour and the host
     assert most["waiting"] <= CLOGGED + 1
     assert most["longest"] <= 2000 + 100

@@ -8,11 +8,11 @@ import pytest
 
 from raygrid.emulator.topology.limits import (
     FIXED_TASKS,
+    FORK_SERVER_BYTES,
     HOST_DESCRIPTORS,
     HOST_DESCRIPTORS_A_NODE,
     NODE_DESCRIPTORS,
     NODE_TASKS,
-    NURSERY_BYTES,
     UNLIMITED,
     Bound,
     Resources,
@@ -34,7 +34,7 @@ PLENTY = Resources(
 
 def with_memory_for(nodes: int, bytes_per_node: int = 10_000_000, more: int = 0) -> Resources:
     """Resources with memory for exactly so many nodes."""
-    return replace(PLENTY, memory=Bound(NURSERY_BYTES + nodes * bytes_per_node + more, "the memory available"))
+    return replace(PLENTY, memory=Bound(FORK_SERVER_BYTES + nodes * bytes_per_node + more, "the memory available"))
 
 
 # --- shapes --------------------------------------------------------------------------------------

@@ -326,9 +326,9 @@ def test_a_name_with_blanks_and_brackets_does_not_confuse_the_start_time(tmp_pat
 def test_a_front_end_killed_together_with_its_nursery_is_swept_after(gate: Gate):
     front_end = FrontEnd(gate.path, "waits")
     gate.wait_for(3)
-    os.kill(front_end.nursery, signal.SIGSTOP)  # it must not clean up in its place
+    os.kill(front_end.fork_server, signal.SIGSTOP)  # it must not clean up in its place
     front_end.process.kill()
-    os.kill(front_end.nursery, signal.SIGKILL)
+    os.kill(front_end.fork_server, signal.SIGKILL)
     gate.wait_empty()
     front_end.finish()
     assert Path(front_end.directory).exists()
@@ -346,7 +346,7 @@ def test_a_killed_front_end_leaves_neither_process_nor_directory(gate: Gate, how
     assert Path(front_end.directory).exists()
     front_end.process.kill()
     gate.wait_empty()
-    wait_dead(front_end.nursery)
+    wait_dead(front_end.fork_server)
     front_end.finish()
     assert not Path(front_end.directory).exists()
 
@@ -355,7 +355,7 @@ def test_a_front_end_killed_while_the_nursery_compiles_leaves_nothing(gate: Gate
     front_end = FrontEnd(gate.path, "waits", warm="warm_for_ever")
     assert front_end.process.stdout.readline() == "stuck\n"
     front_end.process.kill()
-    wait_dead(front_end.nursery)
+    wait_dead(front_end.fork_server)
     front_end.finish()
     assert not Path(front_end.directory).exists()
 
@@ -363,12 +363,14 @@ def test_a_front_end_killed_while_the_nursery_compiles_leaves_nothing(gate: Gate
 def test_a_fork_that_keeps_the_socket_open_does_not_keep_the_nodes(gate: Gate):
     front_end = FrontEnd(gate.path, "has a fork")
     gate.wait_for(3)
-    forks = [child for child in psutil.Process(front_end.process.pid).children() if child.pid != front_end.nursery]
+    forks = [child for child in psutil.Process(front_end.process.pid).children() if child.pid != front_end.fork_server]
     while not forks:
-        forks = [child for child in psutil.Process(front_end.process.pid).children() if child.pid != front_end.nursery]
+        forks = [
+            child for child in psutil.Process(front_end.process.pid).children() if child.pid != front_end.fork_server
+        ]
     front_end.process.kill()
     gate.wait_empty()
-    wait_dead(front_end.nursery)
+    wait_dead(front_end.fork_server)
     for fork in forks:
         fork.kill()
     front_end.finish()
@@ -380,7 +382,7 @@ def test_ctrl_c_leaves_nothing(gate: Gate, how):
     gate.wait_for(3)
     os.killpg(front_end.process.pid, signal.SIGINT)  # what the terminal does
     assert "KeyboardInterrupt" in front_end.finish()
-    assert not psutil.pid_exists(front_end.nursery)
+    assert not psutil.pid_exists(front_end.fork_server)
     assert not Path(front_end.directory).exists()
     gate.wait_empty()
 
@@ -390,7 +392,7 @@ def test_a_front_end_that_simply_ends_leaves_nothing(gate: Gate, how):
     front_end = FrontEnd(gate.path, how)
     assert front_end.finish() == ""
     assert front_end.process.returncode == 0
-    assert not psutil.pid_exists(front_end.nursery)
+    assert not psutil.pid_exists(front_end.fork_server)
     assert not Path(front_end.directory).exists()
 
 

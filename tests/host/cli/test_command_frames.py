@@ -202,21 +202,21 @@ class Bar:
 
 
 def test_the_progress_of_a_shot_is_that_of_all_its_frames():
-    talk = ProgressReporter(quiet=True)
-    talk._bar, talk._task = Bar(), 0
-    talk.shot(4)
-    assert talk._bar.total == 4
-    talk.expect(100)
+    reporter = ProgressReporter(quiet=True)
+    reporter._bar, reporter._task = Bar(), 0
+    reporter.shot(4)
+    assert reporter._bar.total == 4
+    reporter.expect(100)
     born = tuple(50 * (kind == PRIMARY) for kind in range(8))
     for done in range(4):
-        talk.frame(11 + done, done, skipped=1 if done else 0)
-        talk.watch("trace", None)
-        talk.watch("trace", Progress(born, born, 0) if done else None)
-    assert talk._bar.total == 4
-    shown = talk._bar.completed
+        reporter.frame(11 + done, done, skipped=1 if done else 0)
+        reporter.watch("trace", None)
+        reporter.watch("trace", Progress(born, born, 0) if done else None)
+    assert reporter._bar.total == 4
+    shown = reporter._bar.completed
     assert shown == sorted(shown)
     assert shown[-1] == 3.5
-    assert talk._bar.details[-1].startswith("3 of 4 done, ")
+    assert reporter._bar.details[-1].startswith("3 of 4 done, ")
 
 
 # --- films ---------------------------------------------------------------------------------------

@@ -109,8 +109,8 @@ def test_a_killed_processor_is_told_and_the_frame_begins_anew(tmp_path):
 
 def _kill_a_node(terminal):
     terminal.wait_for(r"tracing .*packets/s")
-    nursery = int(_children(terminal.process.pid)[0])
-    node = int(_children(nursery)[3])
+    fork_server = int(_children(terminal.process.pid)[0])
+    node = int(_children(fork_server)[3])
     os.kill(node, signal.SIGKILL)
     return node
 

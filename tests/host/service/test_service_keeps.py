@@ -114,8 +114,8 @@ def test_a_service_whose_lock_another_one_has_ends_and_leaves_the_journal_to_it(
 
 
 def test_a_socket_directory_that_is_removed_costs_one_repair(array, tmp_path):
-    nursery = nursery_of(array)
-    command = nursery.cmdline()
+    fork_server = nursery_of(array)
+    command = fork_server.cmdline()
     shutil.rmtree(command[command.index("--directory") + 1])
     check_usable(array, tmp_path)
     os.kill(array.status()["nodes"][1]["pid"], signal.SIGKILL)
@@ -133,12 +133,12 @@ def nursery_of(array):
 
 
 def test_a_stopped_nursery_is_replaced_while_idle(array, tmp_path):
-    faults, nursery = array.status()["faults"]["count"], nursery_of(array)
+    faults, fork_server = array.status()["faults"]["count"], nursery_of(array)
     node = array.status()["nodes"][1]["pid"]
-    nursery.send_signal(signal.SIGSTOP)
+    fork_server.send_signal(signal.SIGSTOP)
     os.kill(node, signal.SIGKILL)  # of which nobody tells
     wait_until("a repair", lambda: array.status()["faults"]["count"] > faults)
-    wait_dead(nursery.pid)
+    wait_dead(fork_server.pid)
     status = array.status()
     assert node not in [each["pid"] for each in status["nodes"]]
     assert {each["state"] for each in status["nodes"]} <= {"running", "waiting"}
@@ -148,12 +148,12 @@ def test_a_stopped_nursery_is_replaced_while_idle(array, tmp_path):
 
 def test_a_nursery_that_is_stopped_while_a_frame_is_traced_keeps_nobody(array, tmp_path):
     job = array.submit(TINY, output=tmp_path / "a.npy", size=(300, 200), samples=4)
-    nursery = nursery_of(array)
-    nursery.send_signal(signal.SIGSTOP)
+    fork_server = nursery_of(array)
+    fork_server.send_signal(signal.SIGSTOP)
     os.kill(array.status()["nodes"][0]["pid"], signal.SIGKILL)
     job.wait()
     assert np.array_equal(np.load(tmp_path / "a.npy"), sums(TINY, size=(300, 200), samples=4))
-    wait_dead(nursery.pid)
+    wait_dead(fork_server.pid)
 
 
 # ---- for us alone, and without a terminal ----

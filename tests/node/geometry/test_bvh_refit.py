@@ -100,12 +100,12 @@ def test_a_node_fits_its_tree_or_builds_a_new_one(monkeypatch, reach, rebuilt):
     monkeypatch.setattr(
         "raygrid.node.runtime.node_state.build_surfaces", lambda *a: builds.append(1) or build_surfaces(*a)
     )
-    before = expected_cost(array.processors[0].tracer.surfaces.floats)
+    before = expected_cost(array.processors[0].node_state.surfaces.floats)
     motions = motions.copy()
     motions[:, 5:] = np.clip(motions[:, 5:] + rng.normal(size=(60, 3)) * reach, -0.45, 0.45)
     array.driver.move(moves_of(cast, motions))
     assert bool(builds) == rebuilt
-    assert expected_cost(array.processors[0].tracer.surfaces.floats) < WORSE * before * (1.5 if rebuilt else 1.0)
+    assert expected_cost(array.processors[0].node_state.surfaces.floats) < WORSE * before * (1.5 if rebuilt else 1.0)
 
 
 def test_groups_at_rest_are_where_they_are_without_groups():

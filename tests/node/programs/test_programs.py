@@ -176,7 +176,7 @@ def test_every_array_gives_the_same_bits_and_the_program_shows(scene, program):
         sums.append(picture.sums)
     assert all(np.array_equal(one, sums[0]) for one in sums)
     if scene == "rings.toml":
-        assert array.processors[0].tracer.surfaces.programmed.shape[1] == 24
+        assert array.processors[0].node_state.surfaces.programmed.shape[1] == 24
         assert sum(node["tests"]["programmed"] for node in array.driver.report()) > 100
     else:  # the same scene with a step that knows of no rules
         plain = render_job(array.driver, job_of(scene, (3, 2, 1), None))

@@ -12,11 +12,12 @@ from support.cases import steady
 from support.packets import pixel_bytes, ray_bytes, return_bytes, rewritten, rows, shadow_bytes
 
 from raygrid.node.errors import PacketError
+from raygrid.node.geometry.lattice import LATTICE
 from raygrid.node.protocol import packets
 from raygrid.node.protocol.packets import FAULTS, HALF_DIRECTION, SIZE, Packet, PacketKind, PacketLimits
 
 H = HALF_DIRECTION
-LAST = packets.LATTICE - 1
+LAST = LATTICE - 1
 EVERYTHING = PacketLimits(packets.MAX_SAMPLES, packets.MAX_SAMPLES, packets.MAX_LIGHTS, 31, (65536, 65536, 65536))
 SMALL = PacketLimits(samples=400, pixels=100, lights=2, depth=5, shape=(4, 3, 2))
 

@@ -39,8 +39,11 @@ def test_golden_bytes():
     assert stamped([3, 5], 0x0201, 7)[HEAD : HEAD + 28].hex() == (
         "07000000" "0102000000000000" "0300000000000000" "0500000000000000"
     )  # fmt: skip
-    enquiry = LookaheadRequest(7, NO, (1, 2, 0x304), 5, 6, 8)
-    assert pack_lookahead(enquiry).hex() == "070000000201000200040305000000" + "0600000000000000" + "08" + "00" * 7
+    lookahead_request = LookaheadRequest(7, NO, (1, 2, 0x304), 5, 6, 8)
+    assert (
+        pack_lookahead(lookahead_request).hex()
+        == "070000000201000200040305000000" + "0600000000000000" + "08" + "00" * 7
+    )
 
 
 @given(st.lists(st.integers(0, LAST_TICK - 1), min_size=1, max_size=20), ticks)
@@ -55,8 +58,8 @@ def test_ticks_and_packets_come_out_as_they_went_in(times, promise):
 
 @given(st.integers(ASK, NO), st.tuples(*[st.integers(0, 65535)] * 3), st.integers(0, 2**32 - 1), ticks, ticks)
 def test_enquiries_come_out_as_they_went_in(answer, origin, number, tick, promise):
-    enquiry = LookaheadRequest(2, answer, origin, number, tick, promise)
-    assert read_lookahead(HEADER + pack_lookahead(enquiry)) == enquiry
+    lookahead_request = LookaheadRequest(2, answer, origin, number, tick, promise)
+    assert read_lookahead(HEADER + pack_lookahead(lookahead_request)) == lookahead_request
 
 
 @pytest.mark.parametrize(
@@ -86,9 +89,9 @@ def test_enquiries_of_a_wrong_length_are_refused(payload):
 
 @pytest.mark.parametrize("change", [{"answer": 3}, {"tick": -1}, {"promise": LAST_TICK + 1}])
 def test_bad_enquiries_are_refused(change):
-    enquiry = LookaheadRequest(1, ASK, (0, 0, 0), 1, 1, 1)._replace(**change)
+    lookahead_request = LookaheadRequest(1, ASK, (0, 0, 0), 1, 1, 1)._replace(**change)
     with pytest.raises(ProtocolError, match="an enquiry came with answer"):
-        read_lookahead(HEADER + pack_lookahead(enquiry))
+        read_lookahead(HEADER + pack_lookahead(lookahead_request))
 
 
 @given(st.binary(max_size=200), st.integers(0, 5))

@@ -69,7 +69,7 @@ def scene() -> Scene:
 class Bed:
     """The node at 0,0,0 in the middle of a frame, and the link end of its neighbour, which a test speaks for."""
 
-    def __init__(self, context: zmq.Context[Any], place: str, wired: bool, batch: int = 64) -> None:
+    def __init__(self, context: zmq.Context[Any], place: str, link_table: bool, batch: int = 64) -> None:
         self.pair, self.other = (
             ZmqChannel(context, f"ipc://{place}", True),
             ZmqChannel(context, f"ipc://{place}", False),
@@ -83,13 +83,13 @@ class Bed:
         self._poller.register(self.pair.socket, zmq.POLLIN)
         self._poller.register(self.other.socket, zmq.POLLIN)
         self.until(lambda: self.link.state is LinkPhase.UP is self.peer.state)
-        self.node.tracer.set_space(space_of(NAME, EVEN_STEP))
+        self.node.node_state.set_space(space_of(NAME, EVEN_STEP))
         for batch_of_kind in scene().surfaces:
-            self.node.tracer.retain(batch_of_kind, batch_of_kind.bounds())
-        self.node.tracer.build()
-        self.node.tracer.set_frame(scene().frame)
-        if wired:
-            self.node.wire(NativeLinkTable(links, {UPWARDS: self.pair}, self.node.tallies.tally))
+            self.node.node_state.retain(batch_of_kind, batch_of_kind.bounds())
+        self.node.node_state.build()
+        self.node.node_state.set_frame(scene().frame)
+        if link_table:
+            self.node.wire(NativeLinkTable(links, {UPWARDS: self.pair}, self.node.reductions.reduction_state))
 
     def until(self, done: Any) -> None:
         """Let both ends take in what comes until something holds."""
@@ -142,16 +142,16 @@ def made() -> Iterator[Any]:
     beds: list[Bed] = []
 
     def make(**options: Any) -> list[Bed]:
-        for wired in (False, True):
-            beds.append(Bed(context, f"{directory}/{len(beds)}", wired, **options))
+        for link_table in (False, True):
+            beds.append(Bed(context, f"{directory}/{len(beds)}", link_table, **options))
         return beds[-2:]
 
     try:
         yield make
     finally:
         for bed in beds:
-            if bed.node._wired is not None:
-                bed.node._wired.close()
+            if bed.node._link_table is not None:
+                bed.node._link_table.close()
                 assert not bed.node.serves_itself(UPWARDS)
             bed.pair.close()
             bed.other.close()
@@ -198,8 +198,8 @@ def outcome(bed: Bed, raw: list[bytes], taken: int | None = None) -> dict[str, A
     """What becomes of a node to which these messages come."""
     for one in raw:
         assert bed.other.send(one)
-        bed.peer._book[LINK_SENT] += 1
-        bed.peer._book[LINK_DATA_SENT] += 1
+        bed.peer._link_state[LINK_SENT] += 1
+        bed.peer._link_state[LINK_DATA_SENT] += 1
     said = ""
     try:
         bed.work(len(raw) if taken is None else taken)
@@ -209,55 +209,55 @@ def outcome(bed: Bed, raw: list[bytes], taken: int | None = None) -> dict[str, A
         "said": said,
         "refused": dict(bed.node.refused),
         "received": (bed.link.received, bed.link.stale, bed.link.data_done),
-        "credit": bed.link._book[CREDIT],
+        "credit": bed.link._link_state[CREDIT],
     }
     if said:  # how far it had come with what it had received, is a matter of when that came
         return result
-    tracer = bed.node.tracer
+    node_state = bed.node.node_state
     return {
         **result,
-        "counts": tracer.counts.tolist(),
-        "pixels": tracer.pixels.sums.tolist(),
-        "waits": tracer.backlog.held,
+        "counts": node_state.counts.tolist(),
+        "pixels": node_state.pixels.sums.tolist(),
+        "waits": node_state.work_queues.held,
     }
 
 
 def test_packets_have_the_same_consequences(beds):
-    plain, wired = beds()
+    plain, link_table = beds()
     groups = [some_packets(n, n) for n in (1, 64, 3, 40, 64, 2)]
-    outcomes = [outcome(bed, messages(bed.peer, groups)) for bed in (plain, wired)]
+    outcomes = [outcome(bed, messages(bed.peer, groups)) for bed in (plain, link_table)]
     assert outcomes[0] == outcomes[1]
     assert outcomes[1]["received"][2] == len(groups)
-    assert wired.node.tracer.wires.books[UPWARDS, LINK_DATA_DONE] == len(groups)
-    sent = [bed.answers() for bed in (plain, wired)]
+    assert link_table.node.node_state.native.link_states[UPWARDS, LINK_DATA_DONE] == len(groups)
+    sent = [bed.answers() for bed in (plain, link_table)]
     assert sent[0] == sent[1]
     assert len(sent[1]) > 20
 
 
 def test_compiled_code_serves_the_link_and_python_does_not(beds, monkeypatch):
-    _, wired = beds()
+    _, link_table = beds()
     monkeypatch.setattr(Link, "receive", lambda self: pytest.fail("Python received"))
     monkeypatch.setattr(Link, "send_packets", lambda self, *rest: pytest.fail("Python sent"))
-    wired.work(0)  # marks what is regular
-    assert outcome(wired, messages(wired.peer, [some_packets(50)]))["said"] == ""
-    assert wired.node.tracer.wires.books[UPWARDS, SOCKET] == wired.pair.socket.underlying
-    assert wired.node.tracer.wires.books[UPWARDS, REGULAR] == 1
+    link_table.work(0)  # marks what is regular
+    assert outcome(link_table, messages(link_table.peer, [some_packets(50)]))["said"] == ""
+    assert link_table.node.node_state.native.link_states[UPWARDS, SOCKET] == link_table.pair.socket.underlying
+    assert link_table.node.node_state.native.link_states[UPWARDS, REGULAR] == 1
 
 
 def test_a_link_without_a_socket_of_its_own_is_left_to_python(beds):
     plain, _ = beds()
     plain.link.channel = type("Between", (), {"send": plain.pair.send, "receive": plain.pair.receive})()
-    plain.node.wire(NativeLinkTable(plain.node.links, {UPWARDS: plain.pair}, plain.node.tallies.tally))
+    plain.node.wire(NativeLinkTable(plain.node.links, {UPWARDS: plain.pair}, plain.node.reductions.reduction_state))
     assert not plain.node.serves_itself(UPWARDS)
     assert outcome(plain, messages(plain.peer, [some_packets(50)]))["received"][2] == 1
 
 
 def test_without_the_functions_python_serves_all(beds, monkeypatch):
     monkeypatch.setattr(zmq_c_api, "find_functions", lambda: None)
-    plain, wired = beds()
-    assert not wired.node.serves_itself(UPWARDS)
+    plain, link_table = beds()
+    assert not link_table.node.serves_itself(UPWARDS)
     assert outcome(plain, messages(plain.peer, [some_packets(9)])) == outcome(
-        wired, messages(wired.peer, [some_packets(9)])
+        link_table, messages(link_table.peer, [some_packets(9)])
     )
 
 
@@ -344,9 +344,9 @@ def test_numbers_run_over_their_end(beds):
     for bed in beds():
         bed.work(0)
         for link in (bed.link, bed.peer):
-            link._book[LINK_SENT] = link._book[LINK_RECEIVED] = 2**32 - 5
+            link._link_state[LINK_SENT] = link._link_state[LINK_RECEIVED] = 2**32 - 5
             for place in (LINK_DATA_SENT, CREDIT, LINK_DATA_DONE, LINK_DATA_TOLD):
-                link._book[place] = 2**32 - 9
+                link._link_state[place] = 2**32 - 9
         outcomes.append(outcome(bed, messages(bed.peer, [some_packets(3, k) for k in range(40)])))
         assert len(bed.answers()) > 20
     assert outcomes[0] == outcomes[1]
@@ -355,26 +355,26 @@ def test_numbers_run_over_their_end(beds):
 
 def test_credit_is_told_and_bounds_what_is_sent(beds):
     """One packet a message: compiled code stops at the window, the rest waits in the link, and goes with the credit."""
-    _, wired = beds(batch=1)
+    _, link_table = beds(batch=1)
     packets = [packet for packet in some_packets(400, 5) if packet[0] & 7 != 5]  # of returns nothing comes
-    raw = messages(wired.peer, [packets[k : k + 30] for k in range(0, 240, 30)])
-    assert outcome(wired, raw)["said"] == ""
-    assert wired.link.data_sent == WINDOW
-    assert wired.link.waiting > 0
-    wired.node.links[HOST].give_up()
+    raw = messages(link_table.peer, [packets[k : k + 30] for k in range(0, 240, 30)])
+    assert outcome(link_table, raw)["said"] == ""
+    assert link_table.link.data_sent == WINDOW
+    assert link_table.link.waiting > 0
+    link_table.node.links[HOST].give_up()
     for _ in range(TURNS):
-        while (arrival := wired.peer.receive()) is not None:
+        while (arrival := link_table.peer.receive()) is not None:
             assert arrival.items == 1
-            wired.peer.grant()
-        wired.node.receive(UPWARDS)
-        wired.node.work()
-        if wired.link.waiting == 0 and wired.peer.received == wired.link.sent:
+            link_table.peer.grant()
+        link_table.node.receive(UPWARDS)
+        link_table.node.work()
+        if link_table.link.waiting == 0 and link_table.peer.received == link_table.link.sent:
             break
-        wired._poller.poll(20)
+        link_table._poller.poll(20)
     else:
         pytest.fail("what waits for credit is never sent")
-    assert wired.link.data_sent > 2 * WINDOW
-    assert wired.peer._book[LINK_RECEIVED] == wired.link.sent
+    assert link_table.link.data_sent > 2 * WINDOW
+    assert link_table.peer._link_state[LINK_RECEIVED] == link_table.link.sent
 
 
 @given(payload=st.binary(max_size=3000), numbers=st.tuples(*[st.integers(0, 2**32 - 1)] * 3))

@@ -57,15 +57,15 @@ def listen(array):
     """Counts how often each node is handed each description from now on; fails when it holds it already."""
     handed = {processor.index: Counter() for processor in array.processors}
     for processor in array.processors:
-        retain, tracer, counter = processor.tracer.retain, processor.tracer, handed[processor.index]
+        retain, node_state, counter = processor.node_state.retain, processor.node_state, handed[processor.index]
 
-        def told(batch, boxes, rest=None, retain=retain, tracer=tracer, counter=counter):
-            held = {int(i) for own in tracer.retained for i in own.ids}
+        def told(batch, boxes, rest=None, retain=retain, node_state=node_state, counter=counter):
+            held = {int(i) for own in node_state.retained for i in own.ids}
             assert not held & set(batch.ids.tolist()), "a node was handed what it holds"
             counter.update(batch.ids.tolist())
             return retain(batch, boxes) if rest is None else retain(batch, boxes, rest)
 
-        processor.tracer.retain = told
+        processor.node_state.retain = told
     return handed
 
 
@@ -105,7 +105,7 @@ def test_a_hundred_random_increments(name):
         motions = next_motions(rng, motions, first, cast, space)
         array.driver.move(moves_of(cast, motions))
         for processor in array.processors:
-            del processor.tracer.retain  # the listener
+            del processor.node_state.retain  # the listener
         assert max((max(c.values(), default=0) for c in handed.values()), default=0) <= 1, "a description came twice"
         anew.driver.load(space, cast.surfaces, moves_of(cast, motions))
         assert holdings(array) == holdings(anew), step
@@ -173,7 +173,7 @@ def test_a_motion_across_all_cells_in_one_frame():
         else:
             array.driver.move(moves_of(cast, motions.copy()))
         assert holdings(array) == holdings(fresh((5, 4, 2), space, cast, motions))
-        holders = [processor.index for processor in array.processors if processor.tracer.retained]
+        holders = [processor.index for processor in array.processors if processor.node_state.retained]
         assert len(holders) == 1
         motions = motions.copy()
 
@@ -210,15 +210,15 @@ def test_what_does_not_move_sends_nothing():
     waves = array.driver.waves
     assert not array.driver.move(moves_of(cast, motions.copy()))
     assert array.driver.waves == waves
-    tables = [processor.tracer.surfaces for processor in array.processors]
+    tables = [processor.node_state.surfaces for processor in array.processors]
     motions = motions.copy()
     motions[0, 5:] *= 0.999999
     assert array.driver.move(moves_of(cast, motions))
     assert array.driver.waves == waves + 4
     untouched = [
-        processor.tracer.surfaces is old
+        processor.node_state.surfaces is old
         for processor, old in zip(array.processors, tables, strict=True)
-        if not any((cast.groups.of(b.ids) == 0).any() for b in processor.tracer.retained)
+        if not any((cast.groups.of(b.ids) == 0).any() for b in processor.node_state.retained)
     ]
     assert all(untouched)
 

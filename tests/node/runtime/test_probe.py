@@ -50,15 +50,15 @@ def states(processors: list[Processor]) -> list:
     return [
         copy.deepcopy(
             (
-                p.tracer.counts.tobytes(),
+                p.node_state.counts.tobytes(),
                 (
-                    p.tracer.backlog.count.tobytes(),
-                    [p.tracer.backlog.packets(kind).tobytes() for kind in range(CLASSES)],
+                    p.node_state.work_queues.count.tobytes(),
+                    [p.node_state.work_queues.packets(kind).tobytes() for kind in range(CLASSES)],
                 ),
-                p.tracer.outputs.held.tobytes(),
-                p.tracer.quota,
-                p.tracer.cursor.tobytes(),
-                None if p.tracer.pixels is None else p.tracer.pixels.sums.tobytes(),
+                p.node_state.outputs.held.tobytes(),
+                p.node_state.quota,
+                p.node_state.cursor.tobytes(),
+                None if p.node_state.pixels is None else p.node_state.pixels.sums.tobytes(),
                 [(link.messages_sent, link.bytes_sent, link.waiting, link.received) for link in p.links.values()],
                 p.phase,
             )
@@ -82,7 +82,7 @@ def busy():
         probe.set_rate(1.0)
         probe.maybe_speak(processor, 3)
         (words,) = speaker.said
-        taken.append((read_sample(processor.index, words), processor.tracer.backlog.count[:CLASSES].tolist()))
+        taken.append((read_sample(processor.index, words), processor.node_state.work_queues.count[:CLASSES].tolist()))
         assert states([processor]) == before, "a sample has changed something"
 
     for processor in array.processors:

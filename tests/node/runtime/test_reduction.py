@@ -128,11 +128,11 @@ def scene() -> Scene:
 class Middle:
     """The node at 1,0,0 in the middle of a frame, and the link ends of both neighbours, for which a test speaks."""
 
-    def __init__(self, context: zmq.Context[Any], place: str, wired: bool) -> None:
+    def __init__(self, context: zmq.Context[Any], place: str, link_table: bool) -> None:
         self.pairs = {port: ZmqChannel(context, f"ipc://{place}-{port}", True) for port in PEERS}
         self.others = {port: ZmqChannel(context, f"ipc://{place}-{port}", False) for port in PEERS}
         self.node: Processor
-        self._wired: NativeLinkTable | None = None
+        self._link_table: NativeLinkTable | None = None
         links = open_links({"index": [1, 0, 0], "machine": "m", "epoch": 3}, dict(self.pairs))
         self.peers: dict[int, Link] = {}
         for port, index in PEERS.items():
@@ -150,14 +150,14 @@ class Middle:
             for link in every:
                 assert link.receive() is None
                 link.push()
-        self.node.tracer.set_space(space_of(NAME, EVEN_STEP))
+        self.node.node_state.set_space(space_of(NAME, EVEN_STEP))
         for batch in scene().surfaces:
-            self.node.tracer.retain(batch, batch.bounds())
-        self.node.tracer.build()
-        self.node.tracer.set_frame(scene().frame)
-        if wired:
-            self._wired = NativeLinkTable(links, self.pairs, self.node.tallies.tally)
-            self.node.wire(self._wired)
+            self.node.node_state.retain(batch, batch.bounds())
+        self.node.node_state.build()
+        self.node.node_state.set_frame(scene().frame)
+        if link_table:
+            self._link_table = NativeLinkTable(links, self.pairs, self.node.reductions.reduction_state)
+            self.node.wire(self._link_table)
 
     def say(self, port: int, kind: MessageKind, payload: bytes) -> None:
         """A neighbour says something."""
@@ -188,8 +188,8 @@ class Middle:
 
     def close(self) -> None:
         """Nothing is left."""
-        if self._wired is not None:
-            self._wired.close()
+        if self._link_table is not None:
+            self._link_table.close()
         for pair in (*self.pairs.values(), *self.others.values()):
             pair.close()
 
@@ -200,8 +200,8 @@ def middles() -> Iterator[Any]:
     directory, context = tempfile.mkdtemp(prefix="rgtest-", dir="/tmp"), zmq.Context(io_threads=1)
     made: list[Middle] = []
 
-    def make(wired: bool) -> Middle:
-        made.append(Middle(context, f"{directory}/{len(made)}", wired))
+    def make(link_table: bool) -> Middle:
+        made.append(Middle(context, f"{directory}/{len(made)}", link_table))
         return made[-1]
 
     try:
@@ -241,7 +241,7 @@ def test_both_answer_the_same_after_the_same_work(make):
         number, sums = reduction.read_reply(message(MessageKind.TALLIED, answer[2]))
         # of its own it counts what it did; messages are a matter of time
         own = sums - np.random.default_rng(0).integers(0, 2**40, SUMS)
-        assert own[: reduction.COUNTS].tolist() == middle.node.tracer.counts.tolist()
+        assert own[: reduction.COUNTS].tolist() == middle.node.node_state.counts.tolist()
         assert own[reduction.SUM_DATA_SENT] == sum(link.data_sent for link in middle.node.links.values())
         own[reduction.SUM_DATA_SENT] = 0
         found.append((told, answer[:2], number, own.tolist()))
@@ -256,7 +256,7 @@ def test_both_answer_the_same_after_the_same_work(make):
 @pytest.mark.skipif(zmq_c_api.find_functions() is None, reason="no functions to call")
 def test_compiled_code_does_it_and_python_does_not(make, monkeypatch):
     middle = make(True)
-    monkeypatch.setattr(reduction_replies, "pack_tallied", lambda *rest: pytest.fail("Python answered"))
+    monkeypatch.setattr(reduction_replies, "pack_reply", lambda *rest: pytest.fail("Python answered"))
     monkeypatch.setattr(Reductions, "tell_children", lambda self: pytest.fail("Python told"))
     monkeypatch.setattr(Processor, "receive", lambda self, port: pytest.fail("Python received"))
     monkeypatch.setattr(Processor, "serves_itself", lambda self, port: True)
@@ -264,8 +264,8 @@ def test_compiled_code_does_it_and_python_does_not(make, monkeypatch):
     middle.until(lambda heard: len(heard) == 1)
     middle.say(HIGH, MessageKind.TALLIED, child_answer(9))
     middle.until(answered)
-    pace = middle.node.tracer.pace
-    assert (pace[TUNE_LEAST], pace[TUNE_BACK_OFF], pace[TUNE_FLUSH]) == (300, 800 // BACK_OFFS, 17)
+    tuning = middle.node.node_state.tuning
+    assert (tuning[TUNE_LEAST], tuning[TUNE_BACK_OFF], tuning[TUNE_FLUSH]) == (300, 800 // BACK_OFFS, 17)
 
 
 def spoil(fields: list[int], place: int, value: int) -> bytes:
@@ -300,8 +300,8 @@ ODD = {
 @pytest.mark.parametrize("odd", ODD)
 def test_what_is_odd_is_left_to_python(make, odd):
     said = []
-    for wired in (False, True):
-        middle = make(wired)
+    for link_table in (False, True):
+        middle = make(link_table)
         middle.node.work()
         for port, kind, payload in ODD[odd]:
             middle.say(port, kind, payload)
@@ -313,8 +313,8 @@ def test_what_is_odd_is_left_to_python(make, odd):
 
 def test_it_is_answered_when_all_is_done(make):
     """Although the node was given work with it, and has a long time."""
-    for wired in (False, True):
-        middle = make(wired)
+    for link_table in (False, True):
+        middle = make(link_table)
         packets = [return_bytes(1, k % 400, (0.5, 1.5, 0.0), (1, 0, 0)) for k in range(300)]
         middle.peers[LOW].send_data(MessageKind.PACKETS, len(packets), b"".join(packets))
         middle.say(LOW, MessageKind.TALLY, tally_bytes([4, 20_000, LONG, 0, 0, 64]))
@@ -325,12 +325,12 @@ def test_it_is_answered_when_all_is_done(make):
         assert (sums[reduction.SUM_WAITING], sums[reduction.HOMES_LEFT]) == (0, 0)
 
 
-@pytest.mark.parametrize("wired", [False, True])
-def test_a_node_that_is_never_idle_answers_at_the_deadline_and_not_before(make, monkeypatch, wired):
+@pytest.mark.parametrize("link_table", [False, True])
+def test_a_node_that_is_never_idle_answers_at_the_deadline_and_not_before(make, monkeypatch, link_table):
     monkeypatch.setattr(Processor, "_idle", lambda self: False)
     monkeypatch.setattr(Processor, "_is_occupied", property(lambda self: True))
-    middle = make(wired)
-    state = middle.node.tallies.tally.state
+    middle = make(link_table)
+    state = middle.node.reductions.reduction_state.state
     for number, hold in ((4, 0), (5, LONG)):
         middle.say(LOW, MessageKind.TALLY, tally_bytes([number, 50, hold, 0, 0, 64]))
         middle.until(lambda heard: any(kind is MessageKind.TALLY for _, kind, _ in heard))
@@ -346,7 +346,7 @@ def test_a_node_that_is_never_idle_answers_at_the_deadline_and_not_before(make, 
 
 def test_before_a_frame_it_is_refused(make):
     middle = make(False)
-    middle.node.tracer.forget_frame()
+    middle.node.node_state.forget_frame()
     middle.say(LOW, MessageKind.TALLY, tally_bytes(GOOD))
     middle.until(lambda heard: len(heard) == 1)
     assert list(middle.node.refused) == ["node (1, 0, 0): the order 'trace' came before a frame"]
@@ -358,15 +358,15 @@ def test_any_tally_has_the_same_consequences(fields, wrong, value):
     """Sound ones and spoilt ones, with their own checksums."""
     outcomes = []
     with middles() as maker:
-        for wired in (False, True):
-            middle = maker(wired)
+        for link_table in (False, True):
+            middle = maker(link_table)
             middle.node.work()
             link = middle.peers[LOW]
             raw = bytearray(message(MessageKind.TALLY, tally_bytes(fields), 0, link.sent, link.data_done, link.epoch))
             raw[wrong] = value
             assert middle.others[LOW].send(sealed(bytes(raw)))
             state, taken = (
-                middle.node.tallies.tally.state,
+                middle.node.reductions.reduction_state.state,
                 middle.node.links[LOW].received + middle.node.links[LOW].stale,
             )
             said = ""
@@ -375,5 +375,7 @@ def test_any_tally_has_the_same_consequences(fields, wrong, value):
             except ProtocolError as error:
                 said = str(error)
             pending = [int(state[place]) for place in (reduction.PENDING, reduction.CURRENT, reduction.REPLIED)]
-            outcomes.append((said, pending, middle.node.tallies.tally.order.tolist(), middle.node.links[LOW].stale))
+            outcomes.append(
+                (said, pending, middle.node.reductions.reduction_state.order.tolist(), middle.node.links[LOW].stale)
+            )
     assert outcomes[0] == outcomes[1]

@@ -44,10 +44,10 @@ def test_what_is_seen_head_on_goes_straight_on_whatever_the_index(ratio):
 
 
 @kernel
-def born(newborn, cell, space, g, d, rows, one):
-    note(newborn, RAY_BATCH, 2 | (1 << 3) | (5 << 8), 0, (0.1, 0.2, 0.3), g, d, (0.5, 0.5, 0.5))
-    work_out(cell, space, newborn, RAY_BATCH)
-    put(newborn, RAY_BATCH, 0, rows, 0)
+def born(spawns, cell, space, g, d, rows, one):
+    note(spawns, RAY_BATCH, 2 | (1 << 3) | (5 << 8), 0, (0.1, 0.2, 0.3), g, d, (0.5, 0.5, 0.5))
+    work_out(cell, space, spawns, RAY_BATCH)
+    put(spawns, RAY_BATCH, 0, rows, 0)
     put_ray(one, 0, 2, 1, 5, origin_beside(space.step, (0.1, 0.2, 0.3), g, d), octahedral(d[0], d[1], d[2]),
             pack_weight(0.5, 0.5, 0.5))  # fmt: skip
 

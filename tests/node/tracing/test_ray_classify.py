@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from node.tracing.test_ray_setup import CELLS, SPACE, _frame, codes, coordinates, places, ports
+from support.ray_setup import CELLS, SPACE, codes, coordinates, frame_with, places, ports
 
 from raygrid.node.geometry.bvh import EMPTY_BOUND, NODE_WORDS
 from raygrid.node.geometry.bvh_simd import CHILD_COLUMN, WIDE
@@ -95,7 +95,7 @@ def test_rays(some, rays, cell):
     for k, (x, y, z, a, b, _) in enumerate(rays):
         put_ray(packets, k * SIZE, PRIMARY, 1, k, (x, y, z), (a, b), np.int64(0))
     came_by = np.array([ray[5] for ray in rays], np.uint8)
-    _compare(_rooted(some), _frame([(0.0, 0.0, 0.0, 1.0)]), packets, came_by, cell, False)
+    _compare(_rooted(some), frame_with([(0.0, 0.0, 0.0, 1.0)]), packets, came_by, cell, False)
 
 
 @given(
@@ -109,7 +109,7 @@ def test_shadow_rays(some, lights, rays, cell):
     packets = np.zeros(len(rays) * SIZE, np.uint8)
     for k, (x, y, z, light, _) in enumerate(rays):
         put_shadow(packets, k * SIZE, 1, k, (x, y, z), light % len(lights), (1.0, 1.0, 1.0))
-    _compare(_rooted(some), _frame(lights), packets, np.array([ray[4] for ray in rays], np.uint8), cell, True)
+    _compare(_rooted(some), frame_with(lights), packets, np.array([ray[4] for ray in rays], np.uint8), cell, True)
 
 
 @given(rays, st.sampled_from(CELLS))
@@ -119,7 +119,7 @@ def test_what_boxes_are_given(rays, cell):
     packets, ahead = np.zeros(len(rays) * SIZE, np.uint8), make_ray_setup()
     for k, (x, y, z, a, b, _) in enumerate(rays):
         put_ray(packets, k * SIZE, PRIMARY, 1, k, (x, y, z), (a, b), np.int64(0))
-    read_prepared(_frame([(0.0, 0.0, 0.0, 1.0)]), packets, np.zeros(len(rays), np.uint8), 0, len(rays), False, ahead)
+    read_prepared(frame_with([(0.0, 0.0, 0.0, 1.0)]), packets, np.zeros(len(rays), np.uint8), 0, len(rays), False, ahead)
     set_up_rays(cell, SPACE, len(rays), False, ahead)
     times = ahead.singles.reshape(-1, SETUP_RAYS)[6:]
     for j in range(len(rays)):
@@ -140,7 +140,7 @@ def test_any_number_of_rays(many):
         )
     surfaces = _rooted(rng.uniform(-0.5, 0.5, (5, 6)).tolist())
     for cell in CELLS:
-        frame = _frame([(0.0, 0.0, 0.0, 1.0)])
+        frame = frame_with([(0.0, 0.0, 0.0, 1.0)])
         _compare(surfaces, frame, packets, rng.integers(0, 8, many).astype(np.uint8), cell, False)
 
 

@@ -55,16 +55,16 @@ def _unit(v):
     return tuple(float(x) for x in np.array(v) / np.linalg.norm(v))
 
 
-def _write(brood, births, cell):
+def _write(spawn_batch, births, cell):
     """Packets of births (head, light, p, g, d, weight), and the ports behind which they start."""
-    newborn, rows = make_spawn_batch(), np.zeros(len(births) * SIZE, np.uint8)
+    spawns, rows = make_spawn_batch(), np.zeros(len(births) * SIZE, np.uint8)
     for birth in births:
-        note(newborn, brood, *birth)
-    assert newborn.held[brood] == len(births)
-    work_out(cell, SPACE, newborn, brood)
+        note(spawns, spawn_batch, *birth)
+    assert spawns.held[spawn_batch] == len(births)
+    work_out(cell, SPACE, spawns, spawn_batch)
     for k in range(len(births)):
-        put(newborn, brood, k, rows, k * SIZE)
-    return rows.reshape(-1, SIZE), [int(starts_behind(newborn, brood, k)) for k in range(len(births))]
+        put(spawns, spawn_batch, k, rows, k * SIZE)
+    return rows.reshape(-1, SIZE), [int(starts_behind(spawns, spawn_batch, k)) for k in range(len(births))]
 
 
 def _first(ports):
@@ -113,11 +113,11 @@ def test_shadow_rays(births, cell):
         assert _first(ports[k]) == towards_start(cell, origin)
 
 
-@pytest.mark.parametrize("brood", [SHADOW_BATCH, RAY_BATCH])
-def test_a_full_brood_says_so(brood):
+@pytest.mark.parametrize("spawn_batch", [SHADOW_BATCH, RAY_BATCH])
+def test_a_full_brood_says_so(spawn_batch):
     """Where there is room for no more, and only there; the other brood is left alone."""
-    newborn = make_spawn_batch()
+    spawns = make_spawn_batch()
     birth = (1, 0, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0))
-    assert [note(newborn, brood, *birth) for _ in range(SPAWN_ROOM)] == [False] * (SPAWN_ROOM - 1) + [True]
-    assert newborn.held[1 - brood] == 0
+    assert [note(spawns, spawn_batch, *birth) for _ in range(SPAWN_ROOM)] == [False] * (SPAWN_ROOM - 1) + [True]
+    assert spawns.held[1 - spawn_batch] == 0
     assert SPAWN_ROOM % EIGHT == 0

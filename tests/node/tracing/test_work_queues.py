@@ -48,18 +48,18 @@ def _one_by_one(data, stacks):
 @given(messages(), messages())
 @settings(deadline=None)
 def test_messages_are_sorted(first, second):
-    backlog, stacks = WorkQueues(), [b""] * CLASSES
-    backlog.set_limits(LIMITS)
+    work_queues, stacks = WorkQueues(), [b""] * CLASSES
+    work_queues.set_limits(LIMITS)
     most = 0
     for data in (first, second):
-        found = backlog.sort_in(bytes(HEAD) + data, len(data) // SIZE, PORT)
+        found = work_queues.sort_in(bytes(HEAD) + data, len(data) // SIZE, PORT)
         assert found == _one_by_one(data, stacks)
         if found == (-1, 0):
             most = max(most, sum(map(len, stacks)) // SIZE)
         for kind in range(CLASSES):
-            assert backlog.packets(kind).tobytes() == stacks[kind]
-            assert (backlog.stacks[CLASSES + kind][: len(stacks[kind]) // SIZE] == PORT).all()
-    assert backlog.count[MOST] == most
+            assert work_queues.packets(kind).tobytes() == stacks[kind]
+            assert (work_queues.stacks[CLASSES + kind][: len(stacks[kind]) // SIZE] == PORT).all()
+    assert work_queues.count[MOST] == most
 
 
 @given(st.sampled_from(EACH), st.lists(st.tuples(st.integers(0, SIZE - 1), st.integers(0, 255)), max_size=3))
