@@ -328,7 +328,9 @@ def test_a_wrong_quota_is_refused(quota):
         array.driver.wave({"do": "trace", "quota": quota})
 
 
-@pytest.mark.parametrize("pace", [{"gather": None}, {"gather": 1.5}, {"linger": 2.0}, {"linger": "x"}, {"flush": None}])
+@pytest.mark.parametrize(
+    "tuning", [{"gather": None}, {"gather": 1.5}, {"linger": 2.0}, {"linger": "x"}, {"flush": None}]
+)
 def test_a_wrong_pace_is_refused(tuning):
     array = launched("1x1x1")
     load(array, "1x1x1", scene())

@@ -9,6 +9,7 @@ import subprocess
 import sys
 
 import pytest
+from support.journals import damage
 
 from raygrid.host.journal import journal as journal_module
 from raygrid.host.journal.journal import Journal
@@ -102,16 +103,6 @@ def test_a_file_that_is_no_journal_is_refused(path):
     path.write_bytes(b"something else " * 100)
     with pytest.raises(OutputError, match=r"journal\.sqlite: the journal cannot be kept \(file is not a database\)"):
         Journal(path)
-
-
-def damage(path):
-    """Zero all pages but the first, as a bad disk may."""
-    with contextlib.closing(sqlite3.connect(path)) as base:
-        base.execute("pragma wal_checkpoint(truncate)")
-    with open(path, "r+b") as file:
-        size = file.seek(0, os.SEEK_END)
-        file.seek(4096)
-        file.write(bytes(size - 4096))
 
 
 def cut(path):

@@ -5,7 +5,7 @@ import shutil
 import sqlite3
 
 import pytest
-from test_journal import damage
+from support.journals import damage
 
 from raygrid.host.client.protocol import LONGEST, pack
 from raygrid.host.client.requests import read_request

@@ -119,7 +119,9 @@ def test_what_boxes_are_given(rays, cell):
     packets, ahead = np.zeros(len(rays) * SIZE, np.uint8), make_ray_setup()
     for k, (x, y, z, a, b, _) in enumerate(rays):
         put_ray(packets, k * SIZE, PRIMARY, 1, k, (x, y, z), (a, b), np.int64(0))
-    read_prepared(frame_with([(0.0, 0.0, 0.0, 1.0)]), packets, np.zeros(len(rays), np.uint8), 0, len(rays), False, ahead)
+    read_prepared(
+        frame_with([(0.0, 0.0, 0.0, 1.0)]), packets, np.zeros(len(rays), np.uint8), 0, len(rays), False, ahead
+    )
     set_up_rays(cell, SPACE, len(rays), False, ahead)
     times = ahead.singles.reshape(-1, SETUP_RAYS)[6:]
     for j in range(len(rays)):

@@ -6,13 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.ray_setup import CELLS, SPACE, codes, coordinates, frame_with, places, ports
 
-from raygrid.emulator.processes.warm import tiny_frame as one_frame
-from raygrid.node.geometry.lattice import LATTICE, make_cell, make_space
-from raygrid.node.protocol.frame_tables import LIGHT_COLUMNS, LIGHT_KIND, LIGHT_PLACE
+from raygrid.node.geometry.lattice import LATTICE
 from raygrid.node.protocol.packets import HALF_DIRECTION, PRIMARY, SIZE, put_ray, put_shadow
 from raygrid.node.tracing import ray_setup
 from raygrid.node.tracing.ray_setup import KNOWN, SETUP_RAYS, make_ray_setup, read_prepared, set_up_rays
 from raygrid.node.tracing.step import _set_up
+
 
 def _bits(numbers):
     return np.array(numbers, np.float64).view(np.int64).tolist()
