@@ -108,7 +108,7 @@ class Listener:
         try:
             listener.bind(self._path)
             os.chmod(self._path, 0o600)
-            self._server = await asyncio.start_unix_server(self._come, sock=listener, work_queues=WAITING)
+            self._server = await asyncio.start_unix_server(self._come, sock=listener, backlog=WAITING)
         except BaseException:
             listener.close()
             raise
