@@ -143,7 +143,7 @@ class Array:
         """Wait until the nursery has every kernel, and all that it compiled is in the cache on disk."""
         if self._fork_server is None:
             raise ArrayError("the array has not begun")
-        self._fork_server.wait_warm(WARM_SECONDS)
+        self._fork_server.wait_warm(WARM_SECONDS, self.on_wait)
 
     def is_warm(self) -> bool:
         """Whether nodes could be forked at once. Raises ArrayError if the nursery has failed."""

@@ -206,12 +206,12 @@ def info(scene: str, as_json: bool) -> None:
 
     SCENE is a file of one of these kinds: .nff .obj .ply .stl .glb .gltf .toml
     """
-    from raygrid.host.image.outputs import write_result
+    from raygrid.host.image.outputs import write_lines, write_result
     from raygrid.host.scene.load import load_scene
     from raygrid.host.scene.scene import describe
 
     facts = describe(load_scene(scene))
-    write_result(json.dumps(facts, indent=2) if as_json else "\n".join(_lines(facts)))
+    write_result(json.dumps(facts, indent=2)) if as_json else write_lines(_lines(facts))
 
 
 @cli.command(epilog=EXPORT_EXAMPLES)

@@ -15,22 +15,26 @@ import click
 
 from raygrid.emulator.processes import KINDS, NOTE, kind_of
 from raygrid.host.text.clean_text import printable
+from raygrid.host.text.tables import folded
 
 if TYPE_CHECKING:
     from raygrid.emulator.driver import Progress
     from raygrid.host.render.retry import FaultReport
 
 PHASES = {"load": "loading surfaces", "trace": "tracing", "collect": "collecting pixels"}
+LOAD_PROGRAM = "loading the program (compiled once), surfaces"  # half a minute and more for a new program
 
 
 class ProgressReporter:
     """Progress on standard error. Use as a context manager, so that the terminal is left as it was.
 
-    quiet  say nothing at all
+    quiet    say nothing at all
+    program  whether the nodes are loaded with one, too
     """
 
-    def __init__(self, quiet: bool) -> None:
+    def __init__(self, quiet: bool, program: bool = False) -> None:
         self._quiet = quiet
+        self._phases = PHASES | ({"load": LOAD_PROGRAM} if program else {})
         self._live = not quiet and sys.stderr.isatty()
         self._bar: Any = None
         self._task: Any = None
@@ -100,6 +104,8 @@ class ProgressReporter:
         if self._quiet:
             return
         text = printable(text)
+        if sys.stderr.isatty():
+            text = folded(text)
         if self._bar is not None:
             self._bar.console.print(text, highlight=False, markup=False, soft_wrap=True)
         else:
@@ -155,7 +161,7 @@ class ProgressReporter:
     def watch(self, phase: str, now: Progress | None) -> None:
         """Told by `render_job`."""
         if now is None:
-            self.phase(PHASES[phase], self._expected if phase == "trace" else None)
+            self.phase(self._phases[phase], self._expected if phase == "trace" else None)
         elif self._frames:
             self._show_shot(self._part(now))
         elif self._bar is not None:

@@ -112,7 +112,7 @@ def run_frames(request: RenderRequest) -> None:
     check_name(request.scene)
     files = _check_names(request)
     sweep_folders()
-    with ProgressReporter(request.quiet) as reporter, contextlib.ExitStack() as stack:
+    with ProgressReporter(request.quiet, request.program is not None) as reporter, contextlib.ExitStack() as stack:
         if files.played:
             files.reel = stack.enter_context(waiting())
         with launching(request, reporter) as array:

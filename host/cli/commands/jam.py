@@ -11,7 +11,7 @@ from raygrid.emulator.analysis import NaiveMachine, Outcome, Waiting, surely_fre
 from raygrid.emulator.processes import LOOKING
 from raygrid.host.cli.commands.simulate import compiling
 from raygrid.host.cli.progress import ProgressReporter
-from raygrid.host.image.outputs import write_result
+from raygrid.host.image.outputs import write_lines, write_result
 from raygrid.host.render.animation_jobs import still_job
 from raygrid.host.render.job import Job, Settings
 from raygrid.host.scene.load import load_scene
@@ -44,9 +44,11 @@ def run_jam(request: JamRequest) -> None:
     scene = load_scene(request.scene)
     settings = {**request.settings, "size": request.settings.get("size") or DEFAULT_SIZE}
     with ProgressReporter(False) as reporter, compiling(reporter, LOOKING):
+        reporter.phase(f"splitting {scene.name}")
         job = still_job(scene, request.shape, Settings(**settings), request.frame)
         free = surely_free(job.frame, request.room)
         budget = max(1, free) if request.budget is None else request.budget
+        reporter.phase("letting it jam, and then not")
         naive, admitted = _run(job, request.room, None), _run(job, request.room, budget)
     if request.as_json:
         told: dict[str, Any] = {
@@ -69,7 +71,7 @@ def run_jam(request: JamRequest) -> None:
         *_told(admitted),
         _promise(budget, free),
     ]
-    write_result("\n".join(lines))
+    write_lines(lines)
 
 
 def _run(job: Job, room: int, budget: int | None) -> Outcome:

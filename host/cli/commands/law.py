@@ -81,5 +81,5 @@ def _run(request: LawRequest, reporter: ProgressReporter) -> list[str]:
                 request.settings,
                 reporter.phase,
             )
-    reporter.phase("fitting")
+    reporter.phase("fitting and plotting")
     return write_report(request.folder, points, fits_of(points), cost, request.command)

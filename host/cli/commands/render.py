@@ -95,7 +95,7 @@ def run_render(request: RenderRequest) -> None:
     if request.cost is not None:
         _prices(request.cost, request.search)
     _check_outputs(request)
-    with ProgressReporter(request.quiet) as reporter, _probing(request) as probing:
+    with ProgressReporter(request.quiet, request.program is not None) as reporter, _probing(request) as probing:
         picture, encoding = _render(request, reporter, begun, probing)
         for output in request.outputs:
             reporter.phase(f"writing {output}")

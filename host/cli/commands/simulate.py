@@ -15,7 +15,7 @@ from raygrid.host.image.outputs import (
     check_picture_path,
     check_side,
     made_folder,
-    write_result,
+    write_lines,
 )
 from raygrid.host.scene.load import check_name
 
@@ -66,8 +66,7 @@ def run_simulate(request: SimulateRequest) -> None:
         if STANDARD in _written(request):  # where the summary would be in the way
             reporter.table(lines)
             return
-    for line in lines:
-        write_result(line)
+    write_lines(lines)
 
 
 def _simulate(request: SimulateRequest, reporter: ProgressReporter) -> Simulated:

@@ -40,7 +40,9 @@ def run_trace(request: TraceRequest) -> None:
     """Load the scene into an array in memory, trace the pixel, print its tree. Raises RaygridError."""
     scene = load_scene(request.scene)
     with ProgressReporter(False) as reporter, compiling(reporter, LOOKING):
+        reporter.phase(f"splitting {scene.name}")
         job = still_job(scene, request.shape, Settings(**request.settings), request.frame)
+        reporter.phase(f"tracing pixel {request.pixel[0]},{request.pixel[1]}")
         told = trace_pixel(job, *request.pixel, request.sample)
     if request.as_json:
         write_result(json.dumps(told, indent=1))

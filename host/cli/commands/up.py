@@ -14,7 +14,7 @@ from typing import Any
 
 from raygrid.host.cli.progress import ProgressReporter
 from raygrid.host.client.service_files import LOG, make_state_directory, read_record, running, runs_already
-from raygrid.host.image.outputs import write_result
+from raygrid.host.image.outputs import write_lines, write_result
 from raygrid.node.errors import ArrayError
 
 GRACE = 10.0  # seconds for a service to end that was told to
@@ -53,7 +53,7 @@ def run_up(launch: Launch) -> None:
         return
     pids = ready["nodes"]
     shown = " ".join(map(str, pids[:64])) + (" ..." if len(pids) > 64 else "")
-    write_result(f"{launch.name}: {_text(launch.shape)} ready, service {ready['pid']}, nodes {shown}")
+    write_lines([f"{launch.name}: {_text(launch.shape)} ready, service {ready['pid']}, nodes {shown}"])
     if ready["unfinished"] and not launch.quiet:
         count = ready["unfinished"]
         ProgressReporter(False).remark(

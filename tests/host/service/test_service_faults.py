@@ -7,6 +7,7 @@ import resource
 import shutil
 import signal
 import subprocess
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +19,11 @@ from support.service import SIZE, array, end, name, on, scribe_of, shot_of, stat
 from support.terminal import Terminal
 
 import raygrid
+from raygrid.emulator.processes.fork_server_client import ForkServerClient
 from raygrid.emulator.topology import socket_directory
 from raygrid.host.client import connection
-from raygrid.host.client.service_files import find, take_lock
+from raygrid.host.client.service_files import JOURNAL, find, take_lock
+from raygrid.host.service.worker import Options, Worker
 from raygrid.node.errors import ArrayError
 
 __all__ = ["array", "name", "warm_kernels"]
@@ -375,6 +378,28 @@ def test_control_c_while_it_is_launched_leaves_nothing(name, tmp_path):
     with pytest.raises(ArrayError, match="no array named 'stopped' runs"):
         find("stopped")
     assert set(directories()) <= before
+
+
+def test_an_end_is_heard_while_the_kernels_are_compiled(monkeypatch, tmp_path):
+    """For the minute of a first run nodes cannot be forked, and nothing else is waited for either."""
+    begun = threading.Event()
+    started = ForkServerClient.start.__func__
+
+    def start(cls, **options):
+        options |= {"program": "support.processes", "warm": "support.processes:warm_for_ever"}
+        fork_server = started(cls, **options)
+        begun.set()
+        return fork_server
+
+    monkeypatch.setattr(ForkServerClient, "start", classmethod(start))
+    events = []
+    worker = Worker(Options((2, 1, 1), journal=tmp_path / JOURNAL), events.append)
+    worker.start()
+    assert begun.wait(60.0)
+    worker.ask_end()
+    worker.join(60.0)
+    assert not worker.is_alive(), "the array goes on warming"
+    assert [event.kind for event in events if event.kind != "warming"] == ["ended"]
 
 
 def directories():
