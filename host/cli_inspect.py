@@ -78,7 +78,7 @@ def _frame_options(command: Command) -> Command:
     return command
 
 
-@click.command(epilog=TRACE_EXAMPLES)
+@click.command(short_help="Print the tree of rays of one pixel: what each hit and brought.", epilog=TRACE_EXAMPLES)
 @click.argument("scene")
 @click.option("--pixel", type=Place(), required=True, metavar="X,Y", help="Column and row, 0,0 top left.")
 @click.option("--sample", type=Number(0, 1 << 32), metavar="K", help="This sample of the pixel only.  [default: all]")
@@ -121,7 +121,7 @@ def jam(
     run_jam(Request(scene, shape, room, budget, as_json, frame, settings))
 
 
-@click.command(epilog=PROBE_EXAMPLES)
+@click.command(short_help="Show how the nodes of an array stand: a table and heat maps.", epilog=PROBE_EXAMPLES)
 @click.option("--name", type=ArrayName(), metavar="NAME", help="Of the array that is up.  [default: default]")
 @click.option("--replay", type=FileName(), metavar="FILE", help="Show a recording instead of an array.")
 @click.option("--speed", type=Number(0.001, 1e9), metavar="X",

@@ -30,7 +30,7 @@ Writes law.md, law.csv and a plot for each scene. docs/paper.md says what came o
 
 
 # fmt: off
-@click.command(epilog=SIMULATE_EXAMPLES)
+@click.command(short_help="Simulate an array in machine time: how long a frame would take.", epilog=SIMULATE_EXAMPLES)
 @click.argument("scene")
 @click.option("--array", "shape", type=Shape(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
               help="Processors on each axis: 50x50x50 and more.")
@@ -74,7 +74,7 @@ def simulate(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], 
     run_simulate(Request(scene, shape, outputs=outputs, **chosen, settings=options))
 
 
-@click.command(epilog=LAW_EXAMPLES)
+@click.command(short_help="Fit the law of 1983, T = A + B n + C R / n^2, to simulations.", epilog=LAW_EXAMPLES)
 @click.argument("scenes", nargs=-1, required=True)
 @click.option("--cost", default="8086", show_default=True, metavar="MODEL", help="As for simulate.")
 @click.option("--search", type=click.Choice(["list", "tree"]), help="As for simulate.")
@@ -89,8 +89,8 @@ def simulate(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], 
 @click.option("--depth", type=Number(1, 31), metavar="N", help="As for render.")
 @click.option("--split", type=click.Choice(["balanced", "uniform"]), default="uniform", show_default=True,
               help="As for render.")
-@path_option("-o", "--output", "folder", default=("law",), show_default="law", metavar="FOLDER",
-              help="Where the report goes.")
+@path_option("-o", "--output", "folder", default=("law",), metavar="FOLDER",
+              help="Where the report goes.  [default: law]")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors and results.")
 @outside_option
 @debug_option

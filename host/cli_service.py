@@ -130,7 +130,7 @@ def list_arrays(as_json: bool) -> None:
     run_list(as_json)
 
 
-@click.command(epilog=SUBMIT_EXAMPLES)
+@click.command(short_help="Render frames of a scene on an array that stays.", epilog=SUBMIT_EXAMPLES)
 @click.argument("scene")
 @_name_option
 @click.option("--frames", type=Frames(), metavar="A-B", help="As for render.")
@@ -170,7 +170,7 @@ def wait(job: int, **options: Any) -> None:
     run_wait(job, **options)
 
 
-@click.command(epilog=JOBS_EXAMPLES)
+@click.command(short_help="List the jobs of an array, also of one that is not up.", epilog=JOBS_EXAMPLES)
 @_name_option
 @click.option("--ended", type=Number(0, 10_000), default=10, show_default=True, metavar="N",
               help="How many of the jobs that have ended.")
@@ -210,7 +210,7 @@ def status(**options: Any) -> None:
     run_status(**options)
 
 
-@click.command(epilog=RESET_EXAMPLES)
+@click.command(short_help="Empty an array; the running frame is begun again.", epilog=RESET_EXAMPLES)
 @_name_option
 def reset(name: str) -> None:
     """Empty an array, whatever its state; the running frame is begun again."""

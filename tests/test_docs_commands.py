@@ -83,6 +83,14 @@ def test_help_fits_a_terminal(command):
     assert not long
 
 
+def test_no_summary_of_a_command_is_cut():
+    """Of a longer first sentence click shows the beginning, and "..."."""
+    context = click.Context(cli, info_name="raygrid", terminal_width=80, max_content_width=80)
+    listed = cli.get_help(context).split("Commands:\n")[1].split("\n\n")[0].splitlines()
+    assert [line.split()[0] for line in listed] == sorted(cli.commands)
+    assert not [line for line in listed if not line.endswith(".") or line.endswith("...")]
+
+
 @pytest.mark.usefixtures("no_leftovers", "warm_kernels")
 @pytest.mark.parametrize("lines", SITTINGS, ids=lambda lines: lines[0].where)
 def test_marked_lines_run(lines, tmp_path, monkeypatch):
