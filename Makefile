@@ -31,7 +31,7 @@ render: $(STAMP) ## render a room with a mirror ball and a glass ball on a 2x2x2
 WORKERS ?= 2
 PYTEST  := $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile
 
-test: $(STAMP) ## the tests
+test: $(STAMP) ## the tests, two files at a time: WORKERS=4 for four
 	$(PYTEST) -m "not slow"
 
 test-long: $(STAMP) ## all tests, the long ones too
@@ -52,13 +52,13 @@ check: style types test ## style, types and tests
 bench: $(STAMP) ## measure speed and write docs/performance.md
 	$(BIN)/python benchmarks/bench.py --write docs/performance.md
 
-faults: $(STAMP) ## break arrays and services in every way known, and write docs/faults.md; some 25 minutes
+faults: $(STAMP) ## break arrays and services, and write docs/faults.md; 25 minutes
 	$(BIN)/python benchmarks/faults.py --write docs/faults.md
 
-fuzz: $(STAMP) ## send a million malformed packets and messages into a running array; some minutes
+fuzz: $(STAMP) ## send a million malformed messages into an array; some minutes
 	$(BIN)/python benchmarks/fuzz.py
 
-fuzz-scenes: $(STAMP) ## render 2,000 scenes with numbers at their extremes on several arrays; half an hour
+fuzz-scenes: $(STAMP) ## render 2,000 scenes of extreme numbers; half an hour
 	$(BIN)/python benchmarks/fuzz_scenes.py
 
 clean: ## remove what the other targets made

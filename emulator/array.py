@@ -146,7 +146,7 @@ class Array:
         """Wait until the nursery has every kernel, and all that it compiled is in the cache on disk."""
         if self._nursery is None:
             raise ArrayError("the array has not begun")
-        self._nursery.wait_warm(WARM_SECONDS)
+        self._nursery.wait_warm(WARM_SECONDS, self.on_wait)
 
     def is_warm(self) -> bool:
         """Whether nodes could be forked at once. Raises ArrayError if the nursery has failed."""

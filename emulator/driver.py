@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -46,6 +47,7 @@ from .collected import Collected, Samples
 from .increments import Held, check_moves, increment
 
 CHUNK_BYTES = 1 << 16  # surfaces in a message
+LOOKED_AT = 1 << 16  # surfaces that are dealt before somebody who gives the frame up is heard
 BUDGET = 1 << 20  # packets in flight below which primaries are admitted, and so the most primaries alive (`bounds`)
 PATIENCE = 30.0  # seconds without any progress after which the array is taken to hang
 HOLD = 0.02  # seconds for which a busy node may hold a wave, and a millisecond more for every node
@@ -249,7 +251,7 @@ class Driver:
         if moves is not None and moves.groups.many:
             self.wave(groups_order(moves))
         dealt = 0
-        for corner, batch in _deal(surfaces, corners(self.shape), moves):
+        for corner, batch in _deal(surfaces, corners(self.shape), moves, self._look_up):
             link = self.links[corner]
             link.send_data(MessageKind.SURFACES, len(batch), pack_surfaces(corner, batch))
             dealt += len(batch)
@@ -284,6 +286,10 @@ class Driver:
             self._quiet = True
         self.held = held._replace(moves=moves)
         return order is not None
+
+    def _look_up(self) -> None:
+        """Take in what has come, without waiting: whoever drives us is heard, and a lost node noticed, amid long work."""
+        self._pump(0.0)
 
     def _wait_arrived(self, dealt: int, received: int) -> None:
         """Wait until all descriptions that were sent have come; `received`: the count of the wave before, -1: none.
@@ -425,18 +431,31 @@ def _quota(budget: int, now: Progress, before: Progress | None, allowed: int) ->
 
 
 def _deal(
-    surfaces: SurfaceSet, places: dict[int, tuple[int, int, int]], moves: Moves | None
+    surfaces: SurfaceSet,
+    places: dict[int, tuple[int, int, int]],
+    moves: Moves | None,
+    look_up: Callable[[], None] = lambda: None,
 ) -> Iterator[tuple[int, Batch]]:
-    """Each surface to the corner nearest to its middle, in messages of about CHUNK_BYTES, corners in turn."""
-    queues: dict[int, list[Batch]] = {corner: [] for corner in places}
+    """Each surface to the corner nearest to its middle, in messages of about CHUNK_BYTES, corners in turn.
+
+    look_up  called for every message: a million surfaces take a second
+    """
+    queues: dict[int, deque[Batch]] = {corner: deque() for corner in places}
     several = [any(corner >> axis & 1 for corner in places) for axis in range(3)]
     for batch in surfaces:
-        middles = placed(batch, moves).bounds().mean(axis=1)
-        corner_of = sum(((middles[:, axis] >= 0.0) & several[axis]).astype(np.int64) << axis for axis in range(3))
+        parts = [np.zeros(0, np.int64)]
+        for start in range(0, len(batch), LOOKED_AT):
+            look_up()
+            part = batch.select(np.arange(start, min(start + LOOKED_AT, len(batch))))
+            middles = placed(part, moves).bounds().mean(axis=1)
+            parts.append(sum(((middles[:, axis] >= 0.0) & several[axis]).astype(np.int64) << axis for axis in range(3)))
+        corner_of = np.concatenate(parts)
         for corner in places:
-            rows = np.flatnonzero(corner_of == corner)
-            queues[corner].extend(pieces(batch.select(rows), CHUNK_BYTES))
+            for piece in pieces(batch.select(np.flatnonzero(corner_of == corner)), CHUNK_BYTES):
+                look_up()
+                queues[corner].append(piece)
     while any(queues.values()):
         for corner, queue in queues.items():
             if queue:
-                yield corner, queue.pop(0)
+                look_up()
+                yield corner, queue.popleft()

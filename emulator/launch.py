@@ -195,9 +195,16 @@ class Nursery:
             raise ArrayError("the nursery was ended, and has no events any more")
         return self._epoll.fileno()
 
-    def wait_warm(self, timeout: float | None = None) -> None:
-        """Wait until nodes can be launched. Raises ArrayError if it fails, or takes more than `timeout` seconds."""
-        self._wait(lambda: self.warm, timeout, "become warm")
+    def wait_warm(self, timeout: float | None = None, on_wait: Callable[[], None] | None = None) -> None:
+        """Wait until nodes can be launched. Raises ArrayError if it fails, or takes more than `timeout` seconds, and
+        what `on_wait` raises, which is called four times a second or more."""
+
+        def warm() -> bool:
+            if on_wait is not None:
+                on_wait()
+            return self.warm
+
+        self._wait(warm, timeout, "become warm")
 
     def is_warm(self) -> bool:
         """Whether nodes can be launched, by what has come so far. Raises ArrayError if the nursery has failed."""

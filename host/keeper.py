@@ -35,7 +35,7 @@ class Keeper:
     floods    how often a scene was loaded
     increments  how often the nodes were told only what has moved since the frame before
     on_fault  told of each fault that was repaired
-    on_wait   called often while a frame is rendered; raises to give the frame up
+    on_wait   called often while a frame is rendered or the array launched or reset; raises to give that up
     rate      of the array's probes, in samples a second of each node; any thread may set it
     on_sample told of each sample; to be set before the rate
     """
@@ -52,16 +52,18 @@ class Keeper:
         self._given_up = False  # nodes may still be at work on a frame that nobody waits for
 
     def launch(self) -> None:
-        """Launch the array. Raises NoArray."""
+        """Launch the array. Raises NoArray, and what `on_wait` raises."""
         self._holds, self._rate = "", 0.0
         with self._launching():
             self._array = Array(self.shape, **self._options)
+            self._array.on_wait = self._on_wait  # a first run compiles for a minute, and may be given up
             self._array.begin()
             # What a frame needs takes a second to import; the nursery warms up beside it.
             import raygrid.host.scene_store
             import raygrid.host.steady  # noqa: F401
 
             self._array.wait_ready()
+            self._array.on_wait = None
 
     @contextlib.contextmanager
     def _launching(self) -> Any:
@@ -107,13 +109,15 @@ class Keeper:
             self._on_fault(f"{error}; it was idle, and repaired in {time.perf_counter() - begun:.2f} s")
 
     def reset(self) -> None:
-        """Empty the array, whatever its state. Raises NoArray if that cannot be."""
+        """Empty the array, whatever its state. Raises NoArray if that cannot be, and what `on_wait` raises."""
         self._holds, self._spoilt, self._given_up = "", False, False
         if self._array is None:
             self.launch()
             return
         with self._launching():
+            self._array.on_wait = self._on_wait  # what cannot be reset is launched anew
             self._array.reset()
+            self._array.on_wait = None
 
     def render(self, ready: Ready, budget: int, watch: Watch) -> Picture:
         """Render a frame, again if the array fails meanwhile. Raises RaygridError, and what `on_wait` raises."""

@@ -14,12 +14,19 @@ def profile_table(nodes: list[dict[str, Any]]) -> list[str]:
     if len(rows) > 1:
         rows.append(("all", total))
     width = max(len("node"), *(len(name) for name, _ in rows))
-    head = f"{'node':>{width}}  {'CPU s':>8}" + "".join(f"{part:>9}" for part in PARTS)
+    head = f"{'node':>{width}}{'CPU s':>8}" + "".join(f"{part:>{_wide(part)}}" for part in PARTS)
     return [head, *(_row(name.rjust(width), seconds) for name, seconds in rows)]
+
+
+def _wide(part: str) -> int:
+    """Columns of a part: with names of two digits an axis all of them fit a terminal of 80."""
+    return max(7, len(part) + 1)
 
 
 def _row(name: str, seconds: dict[str, float]) -> str:
     """Parts of the CPU seconds; waiting, which takes none, as seconds of the clock."""
     busy = sum(seconds[part] for part in PARTS if part != "wait")
-    shares = "".join(f"{100.0 * seconds[part] / max(busy, 1e-9):8.1f}%" for part in PARTS if part != "wait")
-    return f"{name}  {busy:8.3f}{shares}{seconds['wait']:7.2f} s"
+    shares = "".join(
+        f"{100.0 * seconds[part] / max(busy, 1e-9):{_wide(part) - 1}.1f}%" for part in PARTS if part != "wait"
+    )
+    return f"{name} {busy:7.3f}{shares} {seconds['wait']:{_wide('wait') - 3}.2f} s"

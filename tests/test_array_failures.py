@@ -24,6 +24,7 @@ from support_links import Meddler, renumbered
 from support_scenes import Scene, mixed_scene, space_of
 from support_space import EVEN_STEP
 
+from raygrid.emulator import driver
 from raygrid.emulator.memory_array import MemoryArray
 from raygrid.node.errors import ArrayError, ProtocolError, Stuck
 from raygrid.node.messages import HEADER, MessageKind
@@ -162,6 +163,28 @@ def test_surfaces_that_are_lost_are_a_hang():
     link.channel = Meddler(link.channel, MessageKind.SURFACES, 1, lambda raw: [renumbered(raw, epoch=9)])
     with pytest.raises((Stuck, ProtocolError)):
         load(array, NAME, scene())
+
+
+@pytest.mark.parametrize("at", ["sorted", "sent"])
+def test_a_load_is_given_up_between_messages_and_leaves_a_usable_array(at, monkeypatch):
+    """Nobody waits for a corner then: the scene is small, or its messages are not even made."""
+    monkeypatch.setattr(driver, "CHUNK_BYTES", 1)  # a surface a message
+    array = hasty()
+    pump, links = array.driver._pump, array.driver.links.values()
+    before = sum(link.data_sent for link in links)
+
+    def given_up(seconds: float) -> None:
+        sent = sum(link.data_sent for link in links) - before
+        if array.driver._answered and sent == (0 if at == "sorted" else 2):
+            raise KeyboardInterrupt
+        pump(seconds)
+
+    array.driver._pump = given_up
+    with pytest.raises(KeyboardInterrupt):
+        load(array, NAME, scene())
+    assert sum(link.data_sent for link in links) - before == (0 if at == "sorted" else 2)
+    array.driver._pump = pump
+    still_right(array)
 
 
 def test_an_exception_of_the_watcher_leaves_a_usable_array():

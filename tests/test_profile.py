@@ -54,6 +54,12 @@ def test_the_table_has_a_line_a_node_and_one_for_all():
     assert len(profile_table(nodes[:1])) == 2
 
 
+def test_the_table_fits_a_terminal():
+    profile = dict.fromkeys(PARTS, 12.0) | {"wait": 2.0}
+    nodes = [{"index": [10, 10, 10 + x], "profile": profile} for x in range(2)]
+    assert {len(line) for line in profile_table(nodes)} == {80}
+
+
 @pytest.mark.usefixtures("no_leftovers")
 def test_a_profile_is_one_flag_away(tmp_path):
     arguments = ["render", str(SCENE), "--array", "2x1x1", "--size", "64x64", "-q", "-o", str(tmp_path / "p.png")]

@@ -7,6 +7,7 @@ import resource
 import shutil
 import signal
 import subprocess
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +20,10 @@ from support_terminal import Terminal
 
 import raygrid
 from raygrid.emulator import places
+from raygrid.emulator.launch import Nursery
 from raygrid.host import connection
-from raygrid.host.service_files import find, take_lock
+from raygrid.host.service_files import JOURNAL, find, take_lock
+from raygrid.host.worker import Options, Worker
 from raygrid.node.errors import ArrayError
 
 __all__ = ["array", "name", "warm_kernels"]
@@ -375,6 +378,28 @@ def test_control_c_while_it_is_launched_leaves_nothing(name, tmp_path):
     with pytest.raises(ArrayError, match="no array named 'stopped' runs"):
         find("stopped")
     assert set(directories()) <= before
+
+
+def test_an_end_is_heard_while_the_kernels_are_compiled(monkeypatch, tmp_path):
+    """For the minute of a first run nodes cannot be forked, and nothing else is waited for either."""
+    begun = threading.Event()
+    started = Nursery.start.__func__
+
+    def start(cls, **options):
+        options |= {"program": "support_processes", "warm": "support_processes:warm_for_ever"}
+        nursery = started(cls, **options)
+        begun.set()
+        return nursery
+
+    monkeypatch.setattr(Nursery, "start", classmethod(start))
+    events = []
+    worker = Worker(Options((2, 1, 1), journal=tmp_path / JOURNAL), events.append)
+    worker.start()
+    assert begun.wait(60.0)
+    worker.ask_end()
+    worker.join(60.0)
+    assert not worker.is_alive(), "the array goes on warming"
+    assert [event.kind for event in events if event.kind != "warming"] == ["ended"]
 
 
 def directories():
