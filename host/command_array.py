@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import signal
 import sys
 import time
@@ -27,6 +28,7 @@ NODES_SHOWN = 64
 JOB_COLUMNS = (
     "job", "state", "frames", "done", "submitted", "waited", "took", "priority", "client", "scene", "outputs",
 )  # fmt: skip
+ABOUT = JOB_COLUMNS.index("client")  # from there on columns say what it is, and not how it stands
 
 Facts = dict[str, Any]
 
@@ -69,8 +71,8 @@ def _status_lines(facts: Facts) -> list[str]:
     lines = [
         f"{facts['name']}: {shape} {facts['state']}{why}, up for {span(time.time() - facts['started'])}, "
         f"service {facts['pid']}{load}, {bytes_of(facts['pss'])} memory (PSS)",
-        f"frames: {frames['done']:,} done, {frames['skipped']:,} skipped, {frames['failed']:,} failed; "
-        f"scenes loaded {facts['floods']:,} times, moved on by increments {facts['increments']:,} times",
+        f"frames: {frames['done']:,} done, {frames['skipped']:,} skipped, {frames['failed']:,} failed",
+        f"scenes: loaded {facts['floods']:,} times, moved on by increments {facts['increments']:,} times",
         f"queue: {count_of(queue['jobs'], 'job')}, {count_of(queue['frames'], 'frame')} not begun; {_running(facts['running'])}",
         f"faults: {faults['count']:,}, resets: {facts['resets']:,}"
         + (f"; the last: {faults['last'][-1]['what']}" if faults["last"] else ""),
@@ -108,7 +110,9 @@ def run_jobs(name: str, ended: int, as_json: bool) -> None:
         write_result(json.dumps(jobs, indent=2))
         return
     now = time.time()
-    write_result("\n".join(table([JOB_COLUMNS, *(_job_row(job, now) for job in jobs)])) if jobs else "no jobs")
+    rows = [JOB_COLUMNS, *(_job_row(job, now) for job in jobs)]
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    write_result("\n".join(job_lines(rows, width)) if jobs else "no jobs")
     if down:
         left = sum(job["state"] in ("queued", "running") for job in jobs)
         goes = "none goes on" if not left else f"{count_of(left, 'job')} {'goes' if left == 1 else 'go'} on"
@@ -128,6 +132,16 @@ def _jobs(name: str, ended: int) -> tuple[list[Facts], bool]:
         return journal_facts(path, ended), True
     with connect(name) as array:
         return array.jobs(ended), False
+
+
+def job_lines(rows: list[tuple[str, ...]], width: int | None) -> list[str]:
+    """The table of jobs; where a terminal is too narrow, each in two lines: how it stands, and below that of what it is."""
+    lines = table(rows)
+    if width is None or max(map(len, lines)) <= width:
+        return lines
+    head, *jobs = table([row[:ABOUT] for row in rows])
+    about = (f"     {scene} of {client}: {outputs}" for client, scene, outputs in (row[ABOUT:] for row in rows[1:]))
+    return [head, *(line for pair in zip(jobs, about, strict=True) for line in pair)]
 
 
 def _job_row(job: Facts, now: float) -> tuple[str, ...]:

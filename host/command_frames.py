@@ -112,7 +112,7 @@ def run_frames(request: Request) -> None:
     check_name(request.scene)
     files = _check_names(request)
     sweep_folders()
-    with Talk(request.quiet) as talk, contextlib.ExitStack() as stack:
+    with Talk(request.quiet, request.program is not None) as talk, contextlib.ExitStack() as stack:
         if files.played:
             files.reel = stack.enter_context(waiting())
         with launching(request, talk) as array:

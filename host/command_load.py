@@ -21,7 +21,7 @@ def run_load(path: str, shape: tuple[int, int, int], allowed: bool, quiet: bool)
         program = read_program(path)
         talk.phase("launching the processors")
         array.wait_ready()
-        talk.phase(f"loading {program.name}")
+        talk.phase(f"compiling and trying {program.name}")
         begun = time.perf_counter()
         array.driver.load_program(program)
         seconds = time.perf_counter() - begun
@@ -32,5 +32,5 @@ def run_load(path: str, shape: tuple[int, int, int], allowed: bool, quiet: bool)
     functions = ", ".join(sorted(program.hooks))
     write_result(
         f"{len(running)} nodes run {program.name} ({functions}), digest {program.digest[:16]}, "
-        f"loaded in {seconds:.2f} s of wall time"
+        f"loaded in {seconds:.2f} s"
     )

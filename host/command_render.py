@@ -95,7 +95,7 @@ def run_render(request: Request) -> None:
     if request.cost is not None:
         _prices(request.cost, request.search)
     _check_outputs(request)
-    with Talk(request.quiet) as talk, _probing(request) as probing:
+    with Talk(request.quiet, request.program is not None) as talk, _probing(request) as probing:
         picture, encoding = _render(request, talk, begun, probing)
         for output in request.outputs:
             talk.phase(f"writing {output}")

@@ -29,7 +29,7 @@ from raygrid.host.progress import PHASES, Talk
 from raygrid.host.service_files import find
 from raygrid.node.errors import ArrayError, SceneError
 
-WORDS = PHASES | {"read": "reading", "write": "writing"}
+WORDS = PHASES | {"read": "reading", "load": "loading", "write": "writing"}  # surfaces, and a program if there is one
 CANCEL_SECONDS = 5.0
 NO_JOB = 0  # its number is in the answer
 

@@ -23,16 +23,19 @@ if TYPE_CHECKING:
     from raygrid.host.steady import Fault
 
 PHASES = {"load": "loading surfaces", "trace": "tracing", "collect": "collecting pixels"}
+LOAD_PROGRAM = "loading the program (compiled once), surfaces"  # half a minute and more for a new program
 
 
 class Talk:
     """Progress on standard error. Use as a context manager, so that the terminal is left as it was.
 
-    quiet  say nothing at all
+    quiet    say nothing at all
+    program  whether the nodes are loaded with one, too
     """
 
-    def __init__(self, quiet: bool) -> None:
+    def __init__(self, quiet: bool, program: bool = False) -> None:
         self._quiet = quiet
+        self._phases = PHASES | ({"load": LOAD_PROGRAM} if program else {})
         self._live = not quiet and sys.stderr.isatty()
         self._bar: Any = None
         self._task: Any = None
@@ -159,7 +162,7 @@ class Talk:
     def watch(self, phase: str, now: Progress | None) -> None:
         """Told by `render_job`."""
         if now is None:
-            self.phase(PHASES[phase], self._expected if phase == "trace" else None)
+            self.phase(self._phases[phase], self._expected if phase == "trace" else None)
         elif self._frames:
             self._show_shot(self._part(now))
         elif self._bar is not None:

@@ -16,6 +16,7 @@ from support_service import SIZE, array, end, name, on, shot_of, state_directory
 from support_terminal import Terminal
 
 import raygrid
+from raygrid.host.command_array import JOB_COLUMNS, job_lines
 from raygrid.host.journal import Journal
 from raygrid.host.journal_facts import journal_facts
 from raygrid.host.probe_service import subscribe
@@ -107,6 +108,22 @@ def test_a_watched_array_that_ends_ends_the_watching(tmp_path, monkeypatch):
         end("brief")
     assert watching.returncode == 1
     assert re.fullmatch(r"raygrid: the array 'brief' (has closed the connection|\(process \d+\) is gone)\n", told)
+
+
+# ---- jobs ----
+
+
+def test_jobs_take_two_lines_each_where_a_terminal_is_too_narrow():
+    how = ("1", "cancelled", "1-48", "8/48", "09:36:31", "1 min 05 s", "2 h 10 min", "0")
+    rows = [JOB_COLUMNS, (*how, "session 7", "a.nff", "/o/%d.png")]
+    one, wide = job_lines(rows, None), job_lines(rows, 200)
+    assert one == wide
+    assert len(one) == 2
+    head, first, about = job_lines(rows, 80)
+    assert head.split() == list(JOB_COLUMNS[:8])
+    assert first.split() == " ".join(how).split()
+    assert about == "     a.nff of session 7: /o/%d.png"
+    assert max(map(len, (head, first, about))) <= 80
 
 
 # ---- jobs of an array that is down ----
