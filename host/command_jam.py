@@ -12,7 +12,7 @@ from raygrid.emulator.kernel_kinds import LOOKING
 from raygrid.host.command_simulate import compiling
 from raygrid.host.job import Job, Settings
 from raygrid.host.load import load_scene
-from raygrid.host.outputs import write_result
+from raygrid.host.outputs import write_report, write_result
 from raygrid.host.progress import Talk
 from raygrid.host.shot_jobs import still_job
 from raygrid.node.main import PORT_NAMES
@@ -44,9 +44,11 @@ def run_jam(request: Request) -> None:
     scene = load_scene(request.scene)
     settings = {**request.settings, "size": request.settings.get("size") or DEFAULT_SIZE}
     with Talk(False) as talk, compiling(talk, LOOKING):
+        talk.phase(f"splitting {scene.name}")
         job = still_job(scene, request.shape, Settings(**settings), request.frame)
         free = surely_free(job.frame, request.room)
         budget = max(1, free) if request.budget is None else request.budget
+        talk.phase("letting it jam, and then not")
         naive, admitted = _run(job, request.room, None), _run(job, request.room, budget)
     if request.as_json:
         told: dict[str, Any] = {
@@ -69,7 +71,7 @@ def run_jam(request: Request) -> None:
         *_told(admitted),
         _promise(budget, free),
     ]
-    write_result("\n".join(lines))
+    write_report(lines)
 
 
 def _run(job: Job, room: int, budget: int | None) -> Outcome:

@@ -15,7 +15,7 @@ from raygrid.host.outputs import (
     check_picture_path,
     check_side,
     made_folder,
-    write_result,
+    write_report,
 )
 from raygrid.host.progress import Talk
 
@@ -66,8 +66,7 @@ def run_simulate(request: Request) -> None:
         if STANDARD in _written(request):  # where the summary would be in the way
             talk.table(lines)
             return
-    for line in lines:
-        write_result(line)
+    write_report(lines)
 
 
 def _simulate(request: Request, talk: Talk) -> Simulated:

@@ -40,7 +40,9 @@ def run_trace(request: Request) -> None:
     """Load the scene into an array in memory, trace the pixel, print its tree. Raises RaygridError."""
     scene = load_scene(request.scene)
     with Talk(False) as talk, compiling(talk, LOOKING):
+        talk.phase(f"splitting {scene.name}")
         job = still_job(scene, request.shape, Settings(**request.settings), request.frame)
+        talk.phase(f"tracing pixel {request.pixel[0]},{request.pixel[1]}")
         told = trace_pixel(job, *request.pixel, request.sample)
     if request.as_json:
         write_result(json.dumps(told, indent=1))

@@ -11,13 +11,14 @@ import os
 import stat
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import IO, BinaryIO, NamedTuple
 
 from raygrid.host.inputs import STANDARD, check_kept
 from raygrid.host.misuse import OutputMisuse
 from raygrid.host.parts import part_file
+from raygrid.host.text_tables import folded
 from raygrid.node.errors import OutputError
 
 
@@ -219,6 +220,12 @@ def write_result(line: str) -> None:
     """Write a line to standard output. Raises OutputError if it cannot be written; what nobody reads is no error."""
     with _told():
         print(line, flush=True)
+
+
+def write_report(lines: Iterable[str]) -> None:
+    """Write lines for people, which a terminal does not break within words. Raises OutputError as `write_result` does."""
+    text = "\n".join(lines)
+    write_result(folded(text) if sys.stdout.isatty() else text)
 
 
 def write_names(paths: Sequence[str], results: Sequence[str | None]) -> None:

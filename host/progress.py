@@ -6,9 +6,7 @@ a first run. Standard output has the names of the files written and nothing else
 
 from __future__ import annotations
 
-import shutil
 import sys
-import textwrap
 import time
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -17,6 +15,7 @@ import click
 
 from raygrid.emulator.kernel_kinds import KINDS, NOTE, kind_of
 from raygrid.host.clean_text import printable
+from raygrid.host.text_tables import folded
 
 if TYPE_CHECKING:
     from raygrid.emulator.driver import Progress
@@ -106,7 +105,7 @@ class Talk:
             return
         text = printable(text)
         if sys.stderr.isatty():
-            text = _wrapped(text)
+            text = folded(text)
         if self._bar is not None:
             self._bar.console.print(text, highlight=False, markup=False, soft_wrap=True)
         else:
@@ -173,12 +172,6 @@ class Talk:
     def _part(self, now: Progress) -> float:
         """How much of the work is done: of the samples those that are born, of what came of them what has died."""
         return min(1.0, now.primaries / self._expected) * sum(now.died) / max(sum(now.born), 1)
-
-
-def _wrapped(text: str) -> str:
-    """A line broken at words, so that the terminal breaks none; what is longer than it, such as a path, stays whole."""
-    width = shutil.get_terminal_size().columns
-    return textwrap.fill(text, width, break_long_words=False, break_on_hyphens=False)
 
 
 def _new_bar() -> Any:

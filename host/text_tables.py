@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import textwrap
 from collections.abc import Sequence
 
 
@@ -11,6 +13,27 @@ def table(rows: Sequence[tuple[str, ...]]) -> list[str]:
     return [
         "  ".join([*(cell.ljust(width) for cell, width in zip(row, widths, strict=False)), row[-1]]) for row in rows
     ]
+
+
+def folded(text: str, width: int | None = None) -> str:
+    """Text for a terminal, which would break its lines within words: what is too long goes on, set in, on the next line.
+
+    Words that are longer than a line, such as paths, stay whole. `width`: columns, None: of the terminal
+    """
+    columns = width or shutil.get_terminal_size().columns
+    return "\n".join(line if len(line) <= columns else _folded(line, columns) for line in text.split("\n"))
+
+
+def _folded(line: str, columns: int) -> str:
+    indent = line[: len(line) - len(line.lstrip())]
+    return textwrap.fill(
+        line.lstrip(),
+        columns,
+        initial_indent=indent,
+        subsequent_indent=indent + "  ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def count_of(number: int, noun: str) -> str:

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from raygrid.host.clean_text import GAP, printable
+from raygrid.host.text_tables import folded
 
 ANYTHING = st.text(st.characters(codec=None), max_size=80)  # lone surrogates, too
 
@@ -45,3 +46,9 @@ def test_what_is_too_long_is_cut_in_its_middle() -> None:
     assert shown.startswith("/a/b")
     assert shown.endswith(": it is cut")
     assert GAP in shown
+
+
+def test_lines_are_folded_at_words_for_a_terminal_and_paths_stay_whole():
+    path = "/a/" + "b" * 90
+    text = folded(f"short\n  one two-three {'x' * 70} four {path}", 80)
+    assert text.split("\n") == ["short", "  one two-three", f"    {'x' * 70} four", path.rjust(len(path) + 4)]
