@@ -207,11 +207,11 @@ def info(scene: str, as_json: bool) -> None:
     SCENE is a file of one of these kinds: .nff .obj .ply .stl .glb .gltf .toml
     """
     from raygrid.host.load import load_scene
-    from raygrid.host.outputs import write_report, write_result
+    from raygrid.host.outputs import write_lines, write_result
     from raygrid.host.scene import describe
 
     facts = describe(load_scene(scene))
-    write_result(json.dumps(facts, indent=2)) if as_json else write_report(_lines(facts))
+    write_result(json.dumps(facts, indent=2)) if as_json else write_lines(_lines(facts))
 
 
 @cli.command(epilog=EXPORT_EXAMPLES)

@@ -17,7 +17,7 @@ from raygrid.host.client import Service, connect, wait_gone
 from raygrid.host.connection import Connection
 from raygrid.host.figures_server import figures_url
 from raygrid.host.journal_facts import journal_facts
-from raygrid.host.outputs import write_report, write_result
+from raygrid.host.outputs import write_lines, write_result
 from raygrid.host.progress import Talk
 from raygrid.host.service_files import JOURNAL, Record, find, state_directory
 from raygrid.host.text_tables import bytes_of, count_of, span, table
@@ -38,7 +38,7 @@ def run_status(name: str, as_json: bool, watch: bool = False, every: float = 1.0
     with connect(name) as array:
         if not watch:
             facts = array.status()
-            write_result(json.dumps(facts, indent=2)) if as_json else write_report(_status_lines(facts))
+            write_result(json.dumps(facts, indent=2)) if as_json else write_lines(_status_lines(facts))
         elif as_json or not sys.stdout.isatty():
             while True:
                 facts = array.status()

@@ -12,7 +12,7 @@ from raygrid.emulator.kernel_kinds import LOOKING
 from raygrid.host.command_simulate import compiling
 from raygrid.host.job import Job, Settings
 from raygrid.host.load import load_scene
-from raygrid.host.outputs import write_report, write_result
+from raygrid.host.outputs import write_lines, write_result
 from raygrid.host.progress import Talk
 from raygrid.host.shot_jobs import still_job
 from raygrid.node.main import PORT_NAMES
@@ -71,7 +71,7 @@ def run_jam(request: Request) -> None:
         *_told(admitted),
         _promise(budget, free),
     ]
-    write_report(lines)
+    write_lines(lines)
 
 
 def _run(job: Job, room: int, budget: int | None) -> Outcome:

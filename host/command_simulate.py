@@ -15,7 +15,7 @@ from raygrid.host.outputs import (
     check_picture_path,
     check_side,
     made_folder,
-    write_report,
+    write_lines,
 )
 from raygrid.host.progress import Talk
 
@@ -66,7 +66,7 @@ def run_simulate(request: Request) -> None:
         if STANDARD in _written(request):  # where the summary would be in the way
             talk.table(lines)
             return
-    write_report(lines)
+    write_lines(lines)
 
 
 def _simulate(request: Request, talk: Talk) -> Simulated:

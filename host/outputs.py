@@ -222,7 +222,7 @@ def write_result(line: str) -> None:
         print(line, flush=True)
 
 
-def write_report(lines: Iterable[str]) -> None:
+def write_lines(lines: Iterable[str]) -> None:
     """Write lines for people, which a terminal does not break within words. Raises OutputError as `write_result` does."""
     text = "\n".join(lines)
     write_result(folded(text) if sys.stdout.isatty() else text)
