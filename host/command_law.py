@@ -81,5 +81,5 @@ def _run(request: Request, talk: Talk) -> list[str]:
                 request.settings,
                 talk.phase,
             )
-    talk.phase("fitting")
+    talk.phase("fitting and plotting")
     return write_report(request.folder, points, fits_of(points), cost, request.command)

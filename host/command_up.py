@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from raygrid.host.outputs import write_result
+from raygrid.host.outputs import write_lines, write_result
 from raygrid.host.progress import Talk
 from raygrid.host.service_files import LOG, make_state_directory, read_record, running, runs_already
 from raygrid.node.errors import ArrayError
@@ -53,7 +53,7 @@ def run_up(launch: Launch) -> None:
         return
     pids = ready["nodes"]
     shown = " ".join(map(str, pids[:64])) + (" ..." if len(pids) > 64 else "")
-    write_result(f"{launch.name}: {_text(launch.shape)} ready, service {ready['pid']}, nodes {shown}")
+    write_lines([f"{launch.name}: {_text(launch.shape)} ready, service {ready['pid']}, nodes {shown}"])
     if ready["unfinished"] and not launch.quiet:
         count = ready["unfinished"]
         Talk(False).remark(f"{count} {'job goes' if count == 1 else 'jobs go'} on: raygrid jobs --name {launch.name}")
