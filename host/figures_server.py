@@ -105,9 +105,7 @@ class Endpoint:
         try:
             from prometheus_client import CollectorRegistry, make_wsgi_app
         except ImportError:
-            raise ArrayError(
-                "the Prometheus endpoint needs the library prometheus_client: raygrid[prometheus]"
-            ) from None
+            raise ArrayError("the Prometheus endpoint needs prometheus_client: pip install prometheus_client") from None
         self._families = families
         registry = CollectorRegistry(auto_describe=False)
         registry.register(self)

@@ -88,7 +88,7 @@ def test_the_endpoint_is_on_loopback_and_closes():
 
 def test_without_the_library_the_endpoint_says_so(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "prometheus_client", None)
-    with pytest.raises(ArrayError, match=r"needs the library prometheus_client: raygrid\[prometheus\]"):
+    with pytest.raises(ArrayError, match=r"needs prometheus_client: pip install prometheus_client$"):
         Endpoint(empty, 0)
 
 
