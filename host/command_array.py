@@ -49,13 +49,16 @@ def run_status(name: str, as_json: bool, watch: bool = False, every: float = 1.0
 
 
 def _watch(array: Service, every: float) -> None:
-    """Draw how an array is on the terminal, over what was drawn before; what does not fit is left out at the end."""
+    """Draw how an array is on the terminal, over what was drawn before.
+
+    Lines longer than the terminal is wide go on below; what does not fit in its height is left out at the end.
+    """
     from rich.console import Console
     from rich.live import Live
     from rich.text import Text
 
     def drawn() -> Text:
-        return Text("\n".join(_status_lines(array.status())), no_wrap=True, overflow="ellipsis")
+        return Text("\n".join(_status_lines(array.status())))
 
     with Live(drawn(), console=Console(highlight=False), auto_refresh=False, vertical_overflow="ellipsis") as live:
         while True:

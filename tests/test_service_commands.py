@@ -94,6 +94,14 @@ def test_status_is_watched_until_control_c(name, tmp_path):
         assert terminal.wait_end() == 130
 
 
+def test_a_watched_status_is_whole_on_a_narrow_terminal(name, tmp_path):
+    with Terminal([RAYGRID, "status", "--name", name, "--watch"], tmp_path, size=(60, 24)) as terminal:
+        terminal.wait_for(r"moved on by\s+increments\s+\d+\s+times")  # the end of a line of 90 columns
+        terminal.wait_for(r"memory\s+\(PSS\)")
+        terminal.press("\x03")
+        assert terminal.wait_end() == 130
+
+
 def test_a_watched_array_that_ends_ends_the_watching(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     up("brief")
