@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image, PngImagePlugin
+from support import paths
 from support.cli import here, one_line, warm_kernels
 from support.render import SCENES
 
@@ -291,7 +292,7 @@ def test_a_film_on_a_disk_without_room(tmp_path, ffmpeg):
     if shutil.which("unshare") is None or subprocess.run([*own, mounted], capture_output=True).returncode != 0:
         pytest.skip("no file system can be mounted here")
     film = f"{disk}/a.mp4"
-    code = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import test_frames_command as t; t.play({film!r}, t.noise(8, (200, 100)))"
+    code = f"import sys; sys.path[:0] = [{str(Path(__file__).parent)!r}, {str(paths.ROOT / 'tests')!r}]; import test_command_frames as t; t.play({film!r}, t.noise(8, (200, 100)))"
     command = f"{mounted} {sys.executable} -c '{code.replace(chr(39), chr(34))}' || true; ls -A {disk}"
     done = subprocess.run([*own, command], capture_output=True, text=True, timeout=120)
     assert re.search(r"OutputError: .*a.mp4: .*(No space left on device|ffmpeg has failed)", done.stderr), done.stderr

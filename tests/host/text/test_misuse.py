@@ -55,7 +55,7 @@ def bad_values(kind: click.ParamType) -> list[str]:
         least, most = kind._least, kind._most
         return [*WORDS, str(least - 1), str(most * 2 + 1), "inf", *(["1.5"] if isinstance(least, int) else [])]
     found = [values for of, values in BAD if isinstance(kind, of)]
-    if not found and type(kind).__name__ == "Frames":
+    if not found and type(kind).__name__ == "FramesType":
         return [*WORDS, "3-1", "1-2-3", "-1", "1-", "1.5"]
     return found[0] if found else []
 
