@@ -27,9 +27,10 @@ render: $(STAMP) ## render a room with a mirror ball and a glass ball on a 2x2x2
 	$(BIN)/raygrid render scenes/room.glb --array 2x2x2 --size 800x600 --samples 4 -o out/room.png
 	@echo "the picture is out/room.png"
 
-# two at a time; all tests of a file by one of them, since they share what is dear to make
+# two at a time; all tests of a file by one of them, since they share what is dear to make; in the order of
+# tests/support_order.py, not by how many tests a file has
 WORKERS ?= 2
-PYTEST  := $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile
+PYTEST  := $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder
 
 test: $(STAMP) ## the tests, two files at a time: WORKERS=4 for four
 	$(PYTEST) -m "not slow"

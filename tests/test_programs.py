@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support_cli import here, misused
+from support_cli import here, misused, warm_kernels
 from support_processes import no_leftovers
 from support_render import SCENES
 
@@ -27,8 +27,9 @@ from raygrid.node.programs import make_program, program_order, try_functions
 from raygrid.node.programs import read_program as read_order
 from raygrid.node.surfaces import AddedKind, Batch
 
-__all__ = ["no_leftovers"]
-pytestmark = [pytest.mark.timeout(900), pytest.mark.usefixtures("quick_records")]  # compiling takes long
+__all__ = ["no_leftovers", "warm_kernels"]
+# Compiling takes long. These tests begin first (`support_order`), so the other kernels are compiled here, too, all at once.
+pytestmark = [pytest.mark.timeout(900), pytest.mark.usefixtures("warm_kernels", "quick_records")]
 
 TORUS, MARBLE = (SCENES / "programs" / name for name in ("torus.py", "marble.py"))
 TINT = "def tint(point, normal, numbers):\n    return 1.0, 0.5, 0.0\n"

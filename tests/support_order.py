@@ -1,0 +1,25 @@
+"""In which order files of tests begin, two at a time: so that both workers have work until the end.
+
+A worker gets a file at a time. One that takes long and comes last leaves the other worker idle, so the longest begin first. Before
+them the kernels are compiled, which one process must do: by the file that needs most of them, while the other worker has files
+that need none. Two that began with kernels would each compile the same ones, as neither finds them in the cache yet.
+
+Names of files, wherever they are below this folder.
+"""
+
+from __future__ import annotations
+
+COMPILES = ("test_programs",)
+WITHOUT_KERNELS = (
+    *("test_nff", "test_launch", "test_messages", "test_link_flow", "test_link", "test_orders", "test_meshes", "test_gltf"),
+    *("test_scene_files", "test_bad_scenes", "test_scenefile", "test_scene", "test_places", "test_line", "test_scene_ply"),
+    *("test_scene_polygons", "test_kernel_cache", "test_kernel_load", "test_journal", "test_imports", "test_provenance"),
+)
+LONG: tuple[str, ...] = ("test_campaign",)
+FIRST = (*COMPILES, *WITHOUT_KERNELS, *LONG)
+_PLACES = {name: place for place, name in enumerate(FIRST)}
+
+
+def place_of(name: str) -> int:
+    """Where a file comes; those that are not named come after all others, in their own order."""
+    return _PLACES.get(name, len(FIRST))
