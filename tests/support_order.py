@@ -11,9 +11,33 @@ from __future__ import annotations
 
 COMPILES = ("test_programs",)
 WITHOUT_KERNELS = (
-    *("test_nff", "test_launch", "test_messages", "test_link_flow", "test_link", "test_orders", "test_meshes", "test_gltf"),
-    *("test_scene_files", "test_bad_scenes", "test_scenefile", "test_scene", "test_places", "test_line", "test_scene_ply"),
-    *("test_scene_polygons", "test_kernel_cache", "test_kernel_load", "test_journal", "test_imports", "test_provenance"),
+    *(
+        "test_nff",
+        "test_launch",
+        "test_messages",
+        "test_link_flow",
+        "test_link",
+        "test_orders",
+        "test_meshes",
+        "test_gltf",
+    ),
+    *(
+        "test_scene_files",
+        "test_bad_scenes",
+        "test_scenefile",
+        "test_scene",
+        "test_places",
+        "test_line",
+        "test_scene_ply",
+    ),
+    *(
+        "test_scene_polygons",
+        "test_kernel_cache",
+        "test_kernel_load",
+        "test_journal",
+        "test_imports",
+        "test_provenance",
+    ),
 )
 LONG: tuple[str, ...] = ("test_campaign",)
 FIRST = (*COMPILES, *WITHOUT_KERNELS, *LONG)
