@@ -186,6 +186,8 @@ def main() -> None:
         now[case.words] = outcome(case, options.everything)
         if options.write:  # each time, so that a run that is ended keeps what it has
             options.write.write_text(json.dumps(now, indent=1) + "\n")
+    if not now:
+        parser.error(f"no command contains {options.only!r}")
     if options.write:
         return
     found = differences({words: each for words, each in before.items() if options.only in words}, now)
