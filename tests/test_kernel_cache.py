@@ -67,18 +67,10 @@ def test_damaged_kernels_are_compiled_anew_and_that_is_said_once(small, damage, 
     assert small.run() == ({"result": WANTED, "ready": 0, "compiled": []}, "")
 
 
-@pytest.fixture(scope="module")
-def compiled(tmp_path_factory):
-    """Small kernels that were compiled once."""
-    small = SmallKernels(tmp_path_factory.mktemp("compiled"))
-    small.run()
-    return small
-
-
 @pytest.fixture
-def kept(compiled):
+def kept():
     """Lets small kernels in another folder have what was compiled once."""
-    return lambda small: compiled.copy_to(small)
+    return lambda small: small.keep_compiled()
 
 
 def test_a_sealed_file_that_cannot_be_loaded_is_compiled_anew(small, kept):

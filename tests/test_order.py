@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
+import pytest
 from support_order import FIRST, place_of
 
 
-def test_the_table_names_files_that_are_there_and_each_once():
-    there = {path.stem for path in Path(__file__).parent.rglob("test_*.py")}
+def test_the_table_names_files_that_are_there_and_each_once(pytestconfig: pytest.Config) -> None:
+    there = {path.stem for path in (pytestconfig.rootpath / "tests").rglob("test_*.py")}
     assert not set(FIRST) - there
     assert len(set(FIRST)) == len(FIRST)
 
 
-def test_files_that_are_not_named_come_after_all_that_are():
+def test_files_that_are_not_named_come_after_all_that_are() -> None:
     assert [place_of(name) for name in FIRST] == list(range(len(FIRST)))
     assert place_of("test_order") == place_of("test_of_nothing") == len(FIRST)
