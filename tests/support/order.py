@@ -11,21 +11,50 @@ from __future__ import annotations
 
 COMPILES = ("test_programs",)
 WITHOUT_KERNELS = (  # or with small ones of their own; about as long as compiling
-    *("test_kernel_cache", "test_launch", "test_nff", "test_messages", "test_orders", "test_link_flow", "test_link"),
+    *(
+        "test_cache",
+        "test_fork_server_client",
+        "test_nff",
+        "test_messages",
+        "test_commands",
+        "test_link_flow",
+        "test_link",
+    ),
     *(
         "test_meshes",
         "test_gltf",
-        "test_scene_files",
+        "test_file_access",
         "test_bad_scenes",
-        "test_scenefile",
+        "test_toml",
         "test_scene",
-        "test_scene_ply",
+        "test_ply",
     ),
-    *("test_scene_polygons", "test_places", "test_line", "test_journal", "test_imports", "test_provenance"),
+    *(
+        "test_polygons",
+        "test_socket_directory",
+        "test_control_channel",
+        "test_journal",
+        "test_imports",
+        "test_provenance",
+    ),
 )
 LONG = (
-    *("test_campaign", "test_docs_commands", "test_increments", "test_step", "test_timed", "test_service_keeps"),
-    *("test_kernel_load", "test_service_faults", "test_service_hostile", "test_stopping", "test_bounds", "test_walk"),
+    *(
+        "test_campaign",
+        "test_docs_commands",
+        "test_increments",
+        "test_step",
+        "test_timed_processor",
+        "test_service_keeps",
+    ),
+    *(
+        "test_fast_load",
+        "test_service_faults",
+        "test_service_hostile",
+        "test_stopping",
+        "test_bounds",
+        "test_grid_walk",
+    ),
     *(
         "test_service_clients",
         "test_service_programs",
@@ -33,7 +62,7 @@ LONG = (
         "test_service_films",
         "test_right_picture",
     ),
-    *("test_array_memory", "test_probe_array", "test_known_pictures", "test_simulator", "test_service_shots"),
+    *("test_memory_array", "test_probe_array", "test_known_pictures", "test_simulator", "test_service_animations"),
 )
 FIRST = (*COMPILES, *WITHOUT_KERNELS, *LONG)
 _PLACES = {name: place for place, name in enumerate(FIRST)}
