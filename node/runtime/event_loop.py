@@ -295,10 +295,11 @@ def run_loop(
 ):
     """Go rounds until nothing is left to do, or for a reason above. Returns (quota left, why).
 
-    pace    int64 (PACE,). TUNE_AFTER, TUNE_BELOW, TUNE_AT_ONCE: of `run_batch`; TUNE_FLUSH: packets for which an output is sent while there is
-            work; TUNE_LEAST: packets that are worth a turn; NAP: microseconds, for which a node sleeps NAPS times before it
-            takes one that is not; TUNE_BATCH: most packets a message; WAIT: whether to wait where nothing is left to do,
-            until something comes; TUNE_RETURN: packets after which it ends in any case. Tallies change TUNE_FLUSH, TUNE_LEAST and NAP
+    pace    int64 (PACE,). TUNE_AFTER, TUNE_BELOW, TUNE_AT_ONCE: of `run_batch`; TUNE_FLUSH: packets for which an output is sent
+            while there is work; TUNE_LEAST: packets that are worth a turn; NAP: microseconds, for which a node
+            sleeps NAPS times before it takes one that is not; TUNE_BATCH: most packets a message; WAIT: whether to wait
+            where nothing is left to do, until something comes; TUNE_RETURN: packets after which it ends in any case.
+            Tallies change TUNE_FLUSH, TUNE_LEAST and NAP
     bounds  int64, the fields of `Limits`
     Without wires it is one turn. The other arguments are those of `run_batch`.
     """
