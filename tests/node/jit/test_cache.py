@@ -117,8 +117,8 @@ def test_a_cache_that_can_be_read_and_not_written_is_used(small, kept):
 
 
 def test_a_full_disk_is_told_of_and_everything_goes_on(small):
-    full = "from raygrid.node import kernel_load\ndef write(path, data): raise OSError(28, 'No space left on device', path)\n"
-    again, told = small.run(before=full + "kernel_load.write_sealed = write")
+    full = "from raygrid.node.jit import fast_load\ndef write(path, data): raise OSError(28, 'No space left on device', path)\n"
+    again, told = small.run(before=full + "fast_load.write_sealed = write")
     assert (again["result"], again["compiled"]) == (WANTED, OURS)
     assert told.count("note: compiled kernels cannot be kept") == 1
     assert f"No space left on device: {small.cache}" in told
