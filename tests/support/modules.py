@@ -214,12 +214,12 @@ def _rings(all_edges: set[Edge]) -> list[list[str]]:
     after: dict[str, set[str]] = {}
     for a, b in all_edges:
         after.setdefault(a, set()).add(b)
-    reach = {name: _reached(name, after) for name in after}
+    reach = {name: reached(name, after) for name in after}
     rings = {frozenset(b for b in reach[a] if a in reach.get(b, ())) for a in reach if a in reach[a]}
     return sorted(sorted(ring) for ring in rings)
 
 
-def _reached(start: str, after: Mapping[str, set[str]]) -> set[str]:
+def reached(start: str, after: Mapping[str, set[str]]) -> set[str]:
     found: set[str] = set()
     waiting = [start]
     while waiting:
