@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import pytest
-from support import paths
+from support import order, paths
 from support.modules import read_modules
 
 ROOT = paths.ROOT
@@ -213,6 +213,10 @@ def test_the_table_is_no_longer_than_it_must_be():
 
 def test_tests_lie_in_the_rooms_that_they_test():
     assert strays(NAMES, TESTS) == []
+
+
+def test_the_order_of_tests_names_files_that_are_there():
+    assert set(order.FIRST) <= {Path(test).stem for test in TESTS}
 
 
 @pytest.fixture

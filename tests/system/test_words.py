@@ -78,6 +78,7 @@ LEFT: dict[str, str] = {
     "host.scene.formats.nff_words": "words",
     "host.scene.formats.toml": "rig",
     "host.service.answers": "answers",
+    "host.service.listener": "backlog",
     "host.service.schedule": "turns",
     "node.links.link": "tally",
     "node.protocol.messages": "enquiry tallied tally",
