@@ -18,7 +18,8 @@ from raygrid.host.render.animation_jobs import jobs_of
 from raygrid.host.render.frame import Watch
 from raygrid.host.render.job import Settings, make_job
 from raygrid.host.render.program_file import read_program
-from raygrid.host.render.retry import ATTEMPTS, render_with_retries
+from raygrid.host.render.retry import ATTEMPTS
+from raygrid.host.render.session import RenderSession
 from raygrid.host.scene.load import load_scene
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import ArrayError
@@ -85,7 +86,7 @@ class Machine:
             if not isinstance(scene, Scene):
                 scene = load_scene(scene, self._allow_outside)
             job = make_job(scene, self.shape, self._settings(settings))
-            return render_with_retries(array, job, budget, watch, attempts=attempts)
+            return RenderSession(array, attempts).render(job, budget, watch)
 
     def render_frames(
         self,
@@ -107,7 +108,7 @@ class Machine:
             scene = load_scene(scene, self._allow_outside)
         for job in jobs_of(scene, self.shape, self._settings(settings), frames):
             with self._use() as array:  # not while the caller has the picture
-                picture = render_with_retries(array, job, budget, watch, attempts=attempts)
+                picture = RenderSession(array, attempts).render(job, budget, watch)
             yield picture
 
     def _settings(self, given: dict[str, Any]) -> Settings:

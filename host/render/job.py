@@ -64,6 +64,7 @@ class Job:
 
     moves   of a frame of a shot, where its groups are; surfaces in groups are at rest then
     number  of that frame
+    load_key  a digest of what an array must hold for it, by which it is not loaded again; "": it is loaded anyway
     add_missed  adds to the sums what a program's background says of rays that never enter the world box; None: this
             process runs the program
     """
@@ -76,6 +77,7 @@ class Job:
     settings: Settings
     moves: Moves | None = None
     number: int | None = None
+    load_key: str = ""
     add_missed: Callable[[Job, NDArray[np.int64]], None] | None = None
 
     @property

@@ -57,7 +57,7 @@ def wanted_by(submit: SubmitMessage) -> FrameRequest:
 class PreparedFrame:
     """A frame that is ready for the array.
 
-    loaded    a digest of what the array must hold: the planes between cells, the surfaces, where they are, the program
+    job       whose `load_key` tells of the planes between cells, the surfaces, where they are, and the program
     contents  a digest of the scene's files, and of the turntable it stands on
     expected  primary rays that there will be, about
     remarks   on the scene
@@ -65,7 +65,6 @@ class PreparedFrame:
     """
 
     job: Job
-    loaded: str
     contents: str
     expected: int
     remarks: tuple[str, ...]
@@ -117,9 +116,9 @@ class SceneStore:
         kept = self._ready.pop(key, None)
         if kept is None or kept[0] is not scene:
             job = make_job(scene, self._shape, wanted.settings)
-            loaded = _digest_of_load(job) + _digest_of_program(wanted.settings)
+            job = replace(job, load_key=_digest_of_load(job) + _digest_of_program(wanted.settings))
             about = samples_expected(job), tuple(scene.remarks), tuple(sources.files)
-            kept = scene, PreparedFrame(job, loaded, sources.digest(), *about)
+            kept = scene, PreparedFrame(job, sources.digest(), *about)
         _keep(self._ready, key, kept)
         return kept[1]
 
@@ -128,12 +127,12 @@ class SceneStore:
         kept = self._shot(scene, wanted)
         job = kept.jobs.job(1 if frame is None else frame)
         assert job.moves is not None
-        loaded = kept.shared + _digest_of_moves(job.moves) + _digest_of_program(wanted.settings)
+        key = kept.shared + _digest_of_moves(job.moves) + _digest_of_program(wanted.settings)
         remarks = tuple(scene.remarks)
         if frame is None and scene.shot is not None and scene.shot.frames > 1:
             remarks += (f"frame 1 of {scene.shot.frames}; --frames 1-{scene.shot.frames} renders all",)
         about = samples_expected(job), remarks, tuple(sources.files)
-        return PreparedFrame(job, loaded, contents_of_shot(sources, wanted.turn), *about)
+        return PreparedFrame(replace(job, load_key=key), contents_of_shot(sources, wanted.turn), *about)
 
     def _shot(self, scene: Scene, wanted: FrameRequest) -> _StoredAnimation:
         key = replace(wanted, frames=None)

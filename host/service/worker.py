@@ -259,8 +259,8 @@ class Worker(threading.Thread):
         return played
 
     def _picture(self, task: Task, ready: PreparedFrame) -> Picture:
-        ready = replace(ready, job=replace(ready.job, add_missed=self._add_missed))
-        picture = self.supervisor.render(ready, task.request.budget, self._watch(task, ready))
+        job = replace(ready.job, add_missed=self._add_missed)
+        picture = self.supervisor.render(job, task.request.budget, self._watch(task, ready))
         if (blank := picture.blank()) is not None:
             self._note(task, [blank if task.frame is None else f"frame {task.frame}: {blank}"])
         return picture

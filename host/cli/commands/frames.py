@@ -197,10 +197,11 @@ def _render(
     from raygrid.host.cli.commands.render import program_of
     from raygrid.host.render.animation_jobs import jobs_of
     from raygrid.host.render.job import Settings, samples_expected
-    from raygrid.host.render.retry import render_with_retries
+    from raygrid.host.render.session import RenderSession
 
     request = files.request
     settings = Settings(**request.settings, program=program_of(request))
+    session = RenderSession(array, request.attempts, reporter.fault)
     rate, skipped = 0.0, 0
     for done, job in enumerate(jobs_of(scene, request.shape, settings, numbers, array.wait_warm)):
         if done == 0:
@@ -212,9 +213,7 @@ def _render(
             skipped += 1
             continue
         reporter.expect(samples_expected(job))
-        picture = render_with_retries(
-            array, job, request.budget, reporter.watch, attempts=request.attempts, on_fault=reporter.fault
-        )
+        picture = session.render(job, request.budget, reporter.watch)
         reporter.phase("writing")
         files.save(job, picture)
         rate += picture.stats["wall_seconds"]["trace"]

@@ -136,7 +136,7 @@ def _render(
         reporter.phase(f"launching {shape[0] * shape[1] * shape[2]} processors")
         from raygrid.host.image.picture import Encoder, prepare
         from raygrid.host.render.job import samples_expected
-        from raygrid.host.render.retry import render_with_retries
+        from raygrid.host.render.session import RenderSession
 
         if not array.is_warm():
             prepare(request.outputs)
@@ -145,15 +145,9 @@ def _render(
         reporter.expect(samples_expected(job))
         if probing is not None:
             array.probe(request.probe_rate, probing.take)
-        picture = render_with_retries(
-            array,
-            job,
-            request.budget,
-            reporter.watch,
-            attempts=request.attempts,
-            on_fault=reporter.fault,
-            prices=None if request.cost is None else _prices(request.cost, request.search),
-        )
+        prices = None if request.cost is None else _prices(request.cost, request.search)
+        session = RenderSession(array, request.attempts, reporter.fault)
+        picture = session.render(job, request.budget, reporter.watch, prices)
         picture.stats["wall_seconds"] |= {"read": round(read - begun, 6), "launch": round(ready - read, 6)}
         reporter.phase("ending the processors")
         encoding = Encoder(picture, request.outputs, request.transfer)
