@@ -154,7 +154,8 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
 
     SCENE is a file of one of these kinds: .nff .obj .ply .stl .glb .gltf .toml
     """
-    from raygrid.host.cli.commands.render import RenderRequest, run_render
+    from raygrid.host.cli.commands.render import run_render
+    from raygrid.host.cli.commands.render_request import RenderRequest
     from raygrid.host.image.frames import default_outputs, turntable_of, wants_shot
 
     of_machine = ("batch", "budget", "transfer", "stats", "patience", "attempts", "fault", "quiet", "profile")

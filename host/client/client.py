@@ -21,8 +21,8 @@ from typing import Any, Self
 from raygrid.host.client.connection import ANSWER_SECONDS, ENDED, Connection
 from raygrid.host.client.protocol import Message, shown
 from raygrid.host.client.service_files import DEFAULT_NAME, ServiceRecord, find
+from raygrid.host.image.frames import FrameNames, check_job
 from raygrid.host.image.frames import absolute as absolute_pattern
-from raygrid.host.image.frames import check_job, is_played, path_of
 from raygrid.node.errors import ArrayError
 
 RESET_SECONDS = 150.0
@@ -109,7 +109,7 @@ class Service:
         turntable  so many frames make a shot of a still scene: the camera goes once round; `turn_scene`: the scene turns
         program   path of a program for the nodes, for an array that was launched to take it
         priority  -100 to 100: frames of higher ones go first, and one that runs is given up for them if it would take long
-        settings  size, samples, depth, min_weight, highlights, split; see `raygrid.host.render.job.Settings`
+        settings  size, samples, depth, min_weight, highlights, split; see `raygrid.host.render.machine_job.Settings`
         Raises TypeError for another setting, OutputError for names that cannot be, ArrayError for what the service refuses.
         """
         unknown = set(settings) - set(SETTINGS)
@@ -243,11 +243,10 @@ def _are_ends(frames: Any) -> bool:
 def _files_of(facts: Message) -> Iterator[str]:
     """All files of a job, in the order of its frames; those that play after the last."""
     shot = facts["first"] is not None
-    numbers = range(facts["first"], facts["last"] + 1) if shot else [None]
-    played = [pattern for pattern in facts["outputs"] if is_played(pattern, shot)]
-    for number in numbers:
-        yield from (path_of(pattern, number) for pattern in facts["outputs"] if pattern not in played)
-    yield from (path_of(pattern, None) for pattern in played)
+    names = FrameNames.split(facts["outputs"], None, shot)
+    for number in range(facts["first"], facts["last"] + 1) if shot else [None]:
+        yield from names.of(number)
+    yield from names.played
 
 
 def _plain(value: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Frames of a job: their numbers, the names of their files, and how each is made of the scene. Light to import.
+"""Reads the numbers of a job's frames and the names of their files. Light to import.
 
 The grammar of a name, the same for `render` and `submit`: %d, %4d or %04d stands for the frame's number, %% for a %.
 A name without a number is that of one picture, or of a file that plays and holds all frames.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -115,6 +115,51 @@ def check_job(outputs: Iterable[str], stats: str | None, frames: Ends | None) ->
             f"{name}: the output is one of several frames and none were named, wanted frames such as 1-48"
         )
     check_patterns(outputs, stats, frames, frames is not None)
+
+
+@dataclass(frozen=True)
+class FrameNames:
+    """The names of the files of a job's frames.
+
+    single  patterns of files that each frame has for its own
+    played  files that hold all frames
+    stats   pattern of the statistics that each frame has, or None
+    """
+
+    single: tuple[str, ...]
+    played: tuple[str, ...]
+    stats: str | None
+
+    @classmethod
+    def split(cls, outputs: Iterable[str], stats: str | None, shot: bool) -> FrameNames:
+        """The patterns told apart; `shot`: whether frames of a shot are asked for. Raises OutputError."""
+        outputs = list(outputs)
+        played = [pattern for pattern in outputs if is_played(pattern, shot)]
+        single = tuple(pattern for pattern in outputs if pattern not in played)
+        return cls(single, tuple(path_of(pattern, None) for pattern in played), stats)
+
+    @classmethod
+    def checked(cls, outputs: Iterable[str], stats: str | None, frames: Ends | None, shot: bool) -> FrameNames:
+        """As `split`, of what was asked for. Raises OutputError as `check_patterns` does."""
+        outputs = list(outputs)
+        check_patterns(outputs, stats, frames, shot)
+        return cls.split(outputs, stats, shot)
+
+    def of(self, frame: int | None) -> list[str]:
+        """The pictures that a frame has for its own."""
+        return [path_of(pattern, frame) for pattern in self.single]
+
+    def stats_of(self, frame: int | None) -> str | None:
+        """Where the statistics of a frame go."""
+        return None if self.stats is None else path_of(self.stats, frame)
+
+    def every(self, frames: Iterable[int | None]) -> Iterator[str]:
+        """All files of these frames that are written."""
+        yield from self.played
+        for frame in frames:
+            yield from self.of(frame)
+            if self.stats is not None:
+                yield path_of(self.stats, frame)
 
 
 class _Shot(Protocol):

@@ -74,7 +74,7 @@ class Machine:
     ) -> Picture:
         """Render a scene, or the file of one.
 
-        settings  size, samples, depth, min_weight, highlights, split; see `raygrid.host.render.job.Settings`; and program, the
+        settings  size, samples, depth, min_weight, highlights, split; see `raygrid.host.render.machine_job.Settings`; and program, the
                   path of a program for the nodes (docs/programs.md), on a machine launched with allow_programs
         budget    packets in flight below which new primary rays are admitted
         watch     called with (phase, progress) as the work goes on

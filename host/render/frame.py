@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from raygrid.emulator.driver import BUDGET, Collected, Driver, Progress, Samples, is_held
 from raygrid.emulator.topology import read_memory
 from raygrid.host.image.picture import Picture
-from raygrid.host.render.job import Job, rays_enter
+from raygrid.host.render.machine_job import Job, rays_enter
 from raygrid.host.render.stats import make_stats
 from raygrid.node.errors import ArrayError, Garbled, TooLarge
 from raygrid.node.geometry import LONGEST_STEP

@@ -1,4 +1,4 @@
-"""A digest of all that a picture depends on: whether a file that is there is just that picture, `--resume` asks."""
+"""Digests all that a picture depends on, by which `--resume` knows whether a file that is there is just that picture."""
 
 from __future__ import annotations
 
@@ -9,19 +9,12 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from raygrid.host.image.frames import Turntable
-    from raygrid.host.render.job import Settings
-    from raygrid.host.scene.sources import Sources
+    from raygrid.host.render.machine_job import Settings
 
 
 @lru_cache
 def _version() -> str:
     return version("raygrid")
-
-
-def contents_of_shot(sources: Sources, turn: Turntable | None) -> str:
-    """A digest of the files of a scene that moves, and of the turntable it stands on."""
-    return f"{sources.digest()} {turn}"
 
 
 def picture_digest(contents: str, settings: Settings, frame: int | tuple[int, int] | None, transfer: str) -> str:

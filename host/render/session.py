@@ -15,7 +15,7 @@ from raygrid.emulator.driver import BUDGET, Progress
 from raygrid.emulator.processes import Array
 from raygrid.host.image.picture import Picture
 from raygrid.host.render.frame import Watch, needs_increment, render_job
-from raygrid.host.render.job import Job
+from raygrid.host.render.machine_job import Job
 from raygrid.host.render.retry import ATTEMPTS, RECOVERABLE, FaultReport, given_up, reset_after
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from raygrid.emulator.driver import NodeSample
     from raygrid.host.image.picture import Picture
     from raygrid.host.render.frame import Watch
-    from raygrid.host.render.job import Job
+    from raygrid.host.render.machine_job import Job
     from raygrid.host.render.retry import FaultReport
     from raygrid.host.render.session import RenderSession
 

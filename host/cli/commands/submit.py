@@ -38,7 +38,7 @@ Facts = dict[str, Any]
 
 @dataclass(frozen=True)
 class SubmitRequest:
-    """What the command line asks for; `settings` of `raygrid.host.render.job.Settings`."""
+    """What the command line asks for; `settings` of `raygrid.host.render.machine_job.Settings`."""
 
     scene: str
     name: str
