@@ -166,8 +166,7 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
         raise click.UsageError("--cost and --search came without --timed")
     machine |= {"cost": (cost or "8086") if timed else None, "search": search}
     turntable = turntable_of(options.pop("turntable"), options.pop("turntable_scene"))
-    named = [*outputs, *filter(None, [machine["stats"]])]
-    several = wants_shot(machine["frames"], turntable is not None, named)
+    several = wants_shot(machine["frames"], turntable is not None, outputs, machine["stats"])
     if timed and (several or machine["program"] is not None):
         raise click.UsageError("--timed came with --frames, --turntable or --program, wanted one frame without a program")
     if several and (machine["profile"] or machine["probe_record"] or machine["chrome_trace"]):

@@ -19,6 +19,7 @@ from raygrid.node.errors import SceneError
 FIELD = re.compile(r"%(?:(?P<width>0?[1-9])?d|%)")
 LAST_FRAME = 999_999_999
 MOST_FRAMES = 100_000  # of a job
+LONGEST_NUMBER = 1_000_000  # of a shot whose length is not known yet
 PLAYED = (".gif", ".webp", ".mp4")  # a .webp plays only if several frames are asked for
 ONLY_PLAYED = (".gif", ".mp4")
 
@@ -73,13 +74,19 @@ def is_played(pattern: str, shot: bool) -> bool:
     return not has_number(pattern) and (suffix in ONLY_PLAYED or (shot and suffix in PLAYED))
 
 
-def wants_shot(frames: Ends | None, turns: bool, patterns: Iterable[str]) -> bool:
+def wants_shot(frames: Ends | None, turns: bool, outputs: Iterable[str], stats: str | None = None) -> bool:
     """Whether frames of a shot are asked for, and not a picture of the scene as it stands.
 
     frames    what was asked for by number, or None; `turns`: by a turntable
-    patterns  of all files that a frame has: names with a number ask for the whole shot
+    outputs, stats  patterns of all files that a frame has: names with a number ask for the whole shot
     """
-    return frames is not None or turns or any(has_number(name) or is_played(name, False) for name in patterns)
+    return frames is not None or turns or _asks_for_shot(outputs, stats) is not None
+
+
+def _asks_for_shot(outputs: Iterable[str], stats: str | None) -> str | None:
+    """The first of the patterns that is one of several frames, None if there is none. Raises OutputError."""
+    patterns = (*outputs, *([] if stats is None else [stats]))
+    return next((name for name in patterns if has_number(name) or is_played(name, False)), None)
 
 
 def check_patterns(outputs: Iterable[str], stats: str | None, frames: Ends | None, shot: bool) -> None:
@@ -108,9 +115,7 @@ def check_patterns(outputs: Iterable[str], stats: str | None, frames: Ends | Non
 def check_job(outputs: Iterable[str], stats: str | None, frames: Ends | None) -> None:
     """Raise OutputError for names of files that a job cannot have. `frames`: those that it names, or None."""
     outputs = list(outputs)
-    patterns = [*outputs, *([] if stats is None else [stats])]
-    if frames is None and wants_shot(None, False, patterns):
-        name = next(name for name in patterns if has_number(name) or is_played(name, False))
+    if frames is None and (name := _asks_for_shot(outputs, stats)) is not None:
         raise OutputMisuse(
             f"{name}: the output is one of several frames and none were named, wanted frames such as 1-48"
         )
@@ -172,6 +177,11 @@ class _Scene(Protocol):
     def name(self) -> str: ...
     @property
     def shot(self) -> _Shot | None: ...
+
+
+def longest_number(frames: Ends | None) -> int:
+    """The number of the frame whose names are looked at before the work, for all: none is longer. None: all frames."""
+    return LONGEST_NUMBER if frames is None else frames[1]
 
 
 def frames_of(scene: _Scene, frames: Ends | None) -> range:

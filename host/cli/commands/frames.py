@@ -12,7 +12,7 @@ from raygrid.host.cli.commands.render_request import RenderRequest
 from raygrid.host.cli.progress import ProgressReporter
 from raygrid.host.files.input_guard import check_outputs
 from raygrid.host.files.part_files import sweep_folders
-from raygrid.host.image.frames import FrameNames, frames_of, path_of
+from raygrid.host.image.frames import FrameNames, frames_of, longest_number, path_of
 from raygrid.host.image.moving_pictures import Reel, check_played, padding, waiting
 from raygrid.host.image.outputs import check_named, check_picture_path, check_side, write_result
 from raygrid.host.scene.load import check_name
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from raygrid.host.image.picture import Picture
     from raygrid.host.render.frame_files import FrameFiles
     from raygrid.host.scene.scene import Scene
-
-LARGEST_NUMBER = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -103,16 +101,16 @@ def _check_names(request: RenderRequest) -> FrameNames:
     names = request.names
     for output in names.played:
         check_played(output)
-    largest = LARGEST_NUMBER if request.frames is None else request.frames[1]
-    for output in names.of(largest):
+    longest = longest_number(request.frames)
+    for output in names.of(longest):
         check_named(output)
         check_picture_path(output)
     if names.stats is not None:
-        check_named(path_of(names.stats, largest))
+        check_named(path_of(names.stats, longest))
     if len(names.played) > len(set(names.played)):
         raise OutputMisuse(f"{names.played[0]}: the output came twice, wanted it once")
     request.note_read()
-    check_outputs(names.every([largest]))
+    check_outputs(names.every([longest]))
     return names
 
 

@@ -62,8 +62,7 @@ class RenderRequest:
     @property
     def of_shot(self) -> bool:
         """Whether frames of a shot are asked for, and not a picture of the scene as it stands. Raises OutputError."""
-        stats = [] if self.stats is None else [self.stats]
-        return wants_shot(self.frames, self.turntable is not None, (*self.outputs, *stats))
+        return wants_shot(self.frames, self.turntable is not None, self.outputs, self.stats)
 
     @property
     def names(self) -> FrameNames:

@@ -73,7 +73,7 @@ def valued_options() -> list[tuple[str, str]]:
 @pytest.fixture(autouse=True)
 def nothing_begins(tmp_path, monkeypatch):
     """No array is launched or asked, and nothing is written."""
-    for name in ("render.Array", "load.Array", "up._start", "submit.Connection"):
+    for name in ("render_request.Array", "load.Array", "up._start", "submit.Connection"):
         monkeypatch.setattr(f"raygrid.host.cli.commands.{name}", None)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     (tmp_path / "here").mkdir()
