@@ -55,10 +55,12 @@ class ArraySupervisor:
             self._array = Array(self.shape, **self._options)
             self._array.on_wait = self._on_wait  # a first run compiles for a minute, and may be given up
             self._array.begin()
-            # What a frame needs takes a second to import; the nursery warms up beside it.
+            from raygrid.host.render.session import RenderSession  # takes a second; the fork server warms up beside it
 
             self._array.wait_ready()
             self._array.on_wait = None
+            self._session = self._session or RenderSession(self._array, on_fault=self._tell)
+            self._session.array = self._array
 
     @contextlib.contextmanager
     def _launching(self) -> Any:
@@ -126,8 +128,6 @@ class ArraySupervisor:
 
     def render(self, job: Job, budget: int, watch: Watch) -> Picture:
         """Render a frame, again if the array fails meanwhile. Raises RaygridError, and what `on_wait` raises."""
-        from raygrid.host.render.session import RenderSession
-
         if self._spoilt:  # a frame before was given up, or failed for good
             self.reset()
         elif self._array is None:
@@ -135,9 +135,7 @@ class ArraySupervisor:
         elif self._given_up:
             self._settle()
         assert self._array is not None
-        if self._session is None:
-            self._session = RenderSession(self._array, on_fault=self._tell)
-        self._session.array = self._array
+        assert self._session is not None
         epoch = self._array.epoch
         self._array.on_wait = self._wait
         try:

@@ -1,6 +1,6 @@
-"""The command `raygrid render`.
+"""Renders one frame for `raygrid render`.
 
-What is heavy to import (numba comes with it) is imported after the nursery was started, which imports the same beside it.
+What is heavy to import (numba comes with it) is imported after the fork server was started, which imports the same beside it.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import contextlib
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from raygrid.host.cli.commands.frames import run_frames
 from raygrid.host.cli.commands.render_request import RenderRequest
@@ -24,44 +24,29 @@ if TYPE_CHECKING:
     from raygrid.host.render.job import Job
 
 
-class _Written(NamedTuple):
-    """The files that are written: pictures and sums, statistics, what probes tell."""
-
-    pictures: list[str]
-    stats: str | None
-    probed: list[str]
-
-    @property
-    def every(self) -> list[str]:
-        """All of them."""
-        return [*self.pictures, *([] if self.stats is None else [self.stats]), *self.probed]
-
-
 def run_render(request: RenderRequest) -> None:
     """Launch, read, load, trace, collect, write. Raises RaygridError."""
     check_allowed(request.program, request.allow_programs)
     if request.of_shot:
         run_frames(request)
         return
-    names = request.names
-    probed = [path for path in (request.probe_record, request.chrome_trace) if path is not None]
-    files = _Written(names.of(None), names.stats_of(None), probed)
+    pictures, stats = request.names.of(None), request.names.stats_of(None)
     begun = time.perf_counter()
     check_name(request.scene)
     if request.cost is not None:
         _prices(request.cost, request.search)
-    _check_outputs(request, files)
+    _check_outputs(request, pictures, stats)
     with ProgressReporter(request.quiet, request.program is not None) as reporter, _probing(request) as probing:
-        picture, encoding = _render(request, files, reporter, begun, probing)
-        for output in files.pictures:
+        picture, encoding = _render(request, pictures, reporter, begun, probing)
+        for output in pictures:
             reporter.phase(f"writing {output}")
             encoding.save(output)
         seconds = picture.stats["wall_seconds"]
         seconds["whole"] = round(time.perf_counter() - begun, 6)
-        if files.stats is not None:
+        if stats is not None:
             from raygrid.host.render.stats import save_stats
 
-            save_stats(files.stats, picture.stats)
+            save_stats(stats, picture.stats)
         if (blank := picture.blank()) is not None:
             reporter.remark(blank)
         for line in _summary(picture):
@@ -70,17 +55,17 @@ def run_render(request: RenderRequest) -> None:
             from raygrid.host.cli.profile_table import profile_table
 
             reporter.table(profile_table(picture.stats["nodes"]))
-    write_names(files.pictures, [*files.pictures, files.stats])
+    write_names(pictures, [*pictures, stats])
 
 
 def _render(
-    request: RenderRequest, files: _Written, reporter: ProgressReporter, begun: float, probing: Probing | None
+    request: RenderRequest, pictures: list[str], reporter: ProgressReporter, begun: float, probing: Probing | None
 ) -> tuple[Picture, Encoder]:
     shape = request.shape
     with request.launching(reporter) as array:
         array.begin()
         reporter.phase(f"reading {request.scene}")
-        job = _read_job(request, files, reporter, array.wait_warm)
+        job = _read_job(request, pictures, reporter, array.wait_warm)
         read = time.perf_counter()
         reporter.phase(f"launching {shape[0] * shape[1] * shape[2]} processors")
         from raygrid.host.image.picture import Encoder, prepare
@@ -88,7 +73,7 @@ def _render(
         from raygrid.host.render.session import RenderSession
 
         if not array.is_warm():
-            prepare(files.pictures)
+            prepare(pictures)
         array.wait_ready()
         ready = time.perf_counter()
         reporter.expect(samples_expected(job))
@@ -99,7 +84,7 @@ def _render(
         picture = session.render(job, request.budget, reporter.watch, prices)
         picture.stats["wall_seconds"] |= {"read": round(read - begun, 6), "launch": round(ready - read, 6)}
         reporter.phase("ending the processors")
-        encoding = Encoder(picture, files.pictures, request.transfer)
+        encoding = Encoder(picture, pictures, request.transfer)
     return picture, encoding
 
 
@@ -123,7 +108,7 @@ def _probing(request: RenderRequest) -> AbstractContextManager[Probing | None]:
 
 
 def _read_job(
-    request: RenderRequest, files: _Written, reporter: ProgressReporter, wait_warm: Callable[[], None]
+    request: RenderRequest, pictures: list[str], reporter: ProgressReporter, wait_warm: Callable[[], None]
 ) -> Job:
     from raygrid.host.render.import_block import hidden
     from raygrid.host.scene.load import load_scene
@@ -136,21 +121,26 @@ def _read_job(
     for remark in remarks_on(scene, None):
         reporter.remark(remark)
     job = make_job(scene, request.shape, request.read_settings(), wait_warm)
-    check_outputs(files.every)  # now that all is read
-    for output in files.pictures:
+    check_outputs(_every_file(request))  # now that all is read
+    for output in pictures:
         check_side(output, job.frame.width, job.frame.height)
     return job
 
 
-def _check_outputs(request: RenderRequest, files: _Written) -> None:
-    for output in files.pictures:
+def _check_outputs(request: RenderRequest, pictures: list[str], stats: str | None) -> None:
+    for output in pictures:
         check_picture_path(output)
-    if files.stats is not None:
-        check_path(files.stats)
-    for path in files.probed:
+    if stats is not None:
+        check_path(stats)
+    for path in request.probed:
         check_named(path)
     request.note_read()
-    check_outputs(files.every)
+    check_outputs(_every_file(request))
+
+
+def _every_file(request: RenderRequest) -> list[str]:
+    """All files that are to be written."""
+    return [*request.names.every([None]), *request.probed]
 
 
 def _summary(picture: Picture) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from raygrid.emulator.processes import Array
 from raygrid.host.cli.progress import ProgressReporter
@@ -11,6 +11,7 @@ from raygrid.host.files.input_guard import note
 from raygrid.host.image.frames import FrameNames, Turntable, wants_shot
 
 if TYPE_CHECKING:
+    from raygrid.host.render.given_settings import GivenSettings
     from raygrid.host.render.job import Settings
     from raygrid.node.links import FaultPlan
 
@@ -47,7 +48,7 @@ class RenderRequest:
     fault: FaultPlan | None
     quiet: bool
     profile: bool
-    settings: dict[str, Any]
+    settings: GivenSettings
     cost: str | None = None
     search: str | None = None
     frames: tuple[int, int] | None = None
@@ -70,11 +71,23 @@ class RenderRequest:
         shot = self.of_shot
         return FrameNames.checked(self.outputs, self.stats, self.frames if shot else None, shot)
 
+    @property
+    def probed(self) -> list[str]:
+        """The files of what probes tell."""
+        return [path for path in (self.probe_record, self.chrome_trace) if path is not None]
+
     def launching(self, reporter: ProgressReporter) -> Array:
         """The array that is asked for, not yet begun."""
-        options: dict[str, Any] = {"fault": self.fault, "profile": self.profile, "programs": self.allow_programs}
-        options["timed"] = self.cost is not None
-        return Array(self.shape, self.batch, self.patience, reporter.warming, **options)
+        return Array(
+            self.shape,
+            self.batch,
+            self.patience,
+            reporter.warming,
+            fault=self.fault,
+            profile=self.profile,
+            programs=self.allow_programs,
+            timed=self.cost is not None,
+        )
 
     def read_settings(self) -> Settings:
         """The settings with the program that is asked for. Raises SceneError."""
