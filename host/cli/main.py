@@ -16,7 +16,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, cast
 
 import click
 
@@ -157,6 +157,7 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
     from raygrid.host.cli.commands.render import run_render
     from raygrid.host.cli.commands.render_request import RenderRequest
     from raygrid.host.image.frames import default_outputs, turntable_of, wants_shot
+    from raygrid.host.render.given_settings import GivenSettings
 
     of_machine = ("batch", "budget", "transfer", "stats", "patience", "attempts", "fault", "quiet", "profile")
     names = (*of_machine, "probe_record", "chrome_trace", "probe_rate", "frames", "program", "allow_programs", "resume")
@@ -172,7 +173,7 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
     if several and (machine["profile"] or machine["probe_record"] or machine["chrome_trace"]):
         raise click.UsageError("--profile, --probe-record or --chrome-trace came with several frames, wanted a single one")
     outputs = outputs or default_outputs(scene, several)
-    request = RenderRequest(scene, shape, outputs, **machine, settings=options, turntable=turntable)
+    request = RenderRequest(scene, shape, outputs, **machine, settings=cast(GivenSettings, options), turntable=turntable)
     if request.resume and not several:
         raise click.UsageError("--resume came without frames, wanted --frames, --turntable, or a number such as %04d in a name")
     run_render(request)
