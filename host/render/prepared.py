@@ -1,12 +1,13 @@
-"""Holds a frame that is ready for an array, with what it was read from."""
+"""Holds a frame that is ready for an array, with what it was read from, and digests all that its picture depends on."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import hashlib
+from dataclasses import astuple, dataclass, replace
+from functools import lru_cache
 
 from raygrid.host.image.frames import Ends, Turntable
 from raygrid.host.render.machine_job import Job
-from raygrid.host.render.picture_digest import picture_digest
 from raygrid.host.scene.scene import Scene
 from raygrid.host.scene.sources import Sources
 
@@ -32,8 +33,15 @@ class PreparedFrame:
         return self.job.frame.width, self.job.frame.height
 
     def digest(self, frame: int | Ends | None, transfer: str) -> str:
-        """As `picture_digest`."""
-        return picture_digest(self.contents, self.job.settings, frame, transfer)
+        """A digest of all that a picture depends on: contents, settings, program, frame, transfer, and this version.
+
+        frame  its number; of a file that plays the first and the last
+        The split is not part of it, for the picture does not depend on it.
+        """
+        settings = self.job.settings
+        program = None if settings.program is None else settings.program.digest
+        words = astuple(replace(settings, split="", program=None))
+        return hashlib.sha256(repr((_version(), self.contents, words, program, frame, transfer)).encode()).hexdigest()
 
 
 def turned(scene: Scene, turn: Turntable | None) -> Scene:
@@ -56,3 +64,10 @@ def remarks_on(scene: Scene, frame: int | None) -> tuple[str, ...]:
     if frame is None and scene.shot is not None and scene.shot.frames > 1:
         remarks += (f"frame 1 of {scene.shot.frames}; --frames 1-{scene.shot.frames} renders all",)
     return remarks
+
+
+@lru_cache
+def _version() -> str:
+    from importlib.metadata import version
+
+    return version("raygrid")

@@ -31,6 +31,7 @@ class ArraySupervisor:
 
     shape     processors on each axis
     options   of `Array`
+    session   that renders on it, and counts how often what was loaded; None before the first launch
     on_fault  told of each fault that was repaired
     on_wait   called often while a frame is rendered or the array launched or reset; raises to give that up
     rate      of the array's probes, in samples a second of each node; any thread may set it
@@ -39,7 +40,7 @@ class ArraySupervisor:
 
     def __init__(self, shape: Shape, on_fault: OnFault, on_wait: Callable[[], None], **options: Any) -> None:
         self.shape = shape
-        self._session: RenderSession | None = None  # with the array that there is, or was
+        self.session: RenderSession | None = None  # on the array that there is, or was
         self._on_fault, self._on_wait = on_fault, on_wait
         self._options = options
         self._array: Array | None = None
@@ -59,8 +60,8 @@ class ArraySupervisor:
 
             self._array.wait_ready()
             self._array.on_wait = None
-            self._session = self._session or RenderSession(self._array, on_fault=self._tell)
-            self._session.array = self._array
+            self.session = self.session or RenderSession(self._array, on_fault=self._tell)
+            self.session.array = self._array
 
     @contextlib.contextmanager
     def _launching(self) -> Any:
@@ -83,16 +84,6 @@ class ArraySupervisor:
         """Process ids of the nodes, x fastest; empty while there is no array. May be asked by any thread."""
         array = self._array
         return [] if array is None else list(array.pids)
-
-    @property
-    def floods(self) -> int:
-        """How often a scene was loaded. May be asked by any thread."""
-        return 0 if self._session is None else self._session.floods
-
-    @property
-    def increments(self) -> int:
-        """How often the nodes were told only what has moved since the frame before. May be asked by any thread."""
-        return 0 if self._session is None else self._session.increments
 
     @property
     def epoch(self) -> int:
@@ -135,11 +126,11 @@ class ArraySupervisor:
         elif self._given_up:
             self._settle()
         assert self._array is not None
-        assert self._session is not None
+        assert self.session is not None
         epoch = self._array.epoch
         self._array.on_wait = self._wait
         try:
-            return self._session.render(job, budget, watch)
+            return self.session.render(job, budget, watch)
         except BaseException as error:
             # The driver drops what is left of a frame that was given up; only a reset that was given up must be repeated.
             failed = isinstance(error, ArrayError | ProtocolError) and not isinstance(error, TooLarge)

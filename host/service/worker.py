@@ -1,4 +1,4 @@
-"""The thread of a service that drives the array: one frame after another, and what became of each.
+"""Drives the array in a thread of the service: one frame after another, and tells what became of each.
 
 The service hands it tasks and interrupts it; it answers by events, each handed to `post` in this thread.
 """
@@ -87,10 +87,7 @@ class Options:
 
 
 class Worker(threading.Thread):
-    """Drives the array.
-
-    keeper    of the array
-    """
+    """Drives the array, which its `supervisor` keeps."""
 
     def __init__(self, options: Options, post: Callable[[Event], None]) -> None:
         super().__init__(name="array", daemon=True)

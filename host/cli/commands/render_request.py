@@ -78,16 +78,8 @@ class RenderRequest:
 
     def launching(self, reporter: ProgressReporter) -> Array:
         """The array that is asked for, not yet begun."""
-        return Array(
-            self.shape,
-            self.batch,
-            self.patience,
-            reporter.warming,
-            fault=self.fault,
-            profile=self.profile,
-            programs=self.allow_programs,
-            timed=self.cost is not None,
-        )
+        first = self.shape, self.batch, self.patience, reporter.warming, self.fault
+        return Array(*first, programs=self.allow_programs, profile=self.profile, timed=self.cost is not None)
 
     def read_settings(self) -> Settings:
         """The settings with the program that is asked for. Raises SceneError."""
