@@ -37,7 +37,8 @@ from faults_links import _babble, intruder
 
 from raygrid.emulator.driver.driver import Progress
 from raygrid.emulator.processes.array import Array
-from raygrid.host.render.retry import RECOVERABLE, render_with_retries
+from raygrid.host.render.retry import RECOVERABLE
+from raygrid.host.render.session import RenderSession
 from raygrid.node.errors import Garbled, ProtocolError
 from raygrid.node.geometry.grid_walk import HOST
 from raygrid.node.links.link import Link, LinkPhase
@@ -331,7 +332,7 @@ def main() -> int:
         same_nodes = array.pids == pids
         array.hostile = False
         array.reset()
-        picture = render_with_retries(array, job(SHAPE))
+        picture = RenderSession(array).render(job(SHAPE))
         same_bits = right(picture, SHAPE)
     for what, count in sorted(fuzz.sent.items()):
         print(f"{what:24}{count:10}")

@@ -106,9 +106,7 @@ class Driver:
         self._wave_number = 0
         self._answer: dict[str, Any] | None = None
         self._collected: Collected | None = None  # what comes of the pass that is being collected
-        self.held: HeldSurfaces | None = (
-            None  # the frame of a shot that the nodes hold; None: it is not known, or does not move
-        )
+        self.held: HeldSurfaces | None = None  # by the nodes together; None: nothing whole
         self.program: Program | None = None  # what the nodes run
         self.waves = 0
         self.most_in_flight = 0
@@ -242,11 +240,11 @@ class Driver:
             self.patience = patience
         self.program = program
 
-    def load(self, space: Space, surfaces: SurfaceSet, moves: Moves | None = None) -> None:
+    def load(self, space: Space, surfaces: SurfaceSet, moves: Moves | None = None, key: str = "") -> None:
         """Deal surfaces (machine coordinates) over the corners, and wait until every node has built its tables.
 
-        `moves`: of some surfaces, which then are given at rest, the groups and where these are. Raises SceneError for
-        motions that are not finite, or by which a surface leaves the world box.
+        `moves`: of some surfaces, which then are given at rest, the groups and where these are. `key`: by which it is known
+        again (`HeldSurfaces`). Raises SceneError for motions that are not finite, or by which a surface leaves the world box.
         """
         self.held = None
         if moves is not None:
@@ -267,16 +265,16 @@ class Driver:
         self._wait_arrived(dealt, -1)
         self.wave({"do": "build"})
         self._quiet = True
-        self.held = None if moves is None else HeldSurfaces(space, surfaces, moves, dealt)
+        self.held = HeldSurfaces(space, surfaces, moves, dealt, key)
 
-    def move(self, moves: Moves) -> bool:
+    def move(self, moves: Moves, key: str = "") -> bool:
         """Bring the surfaces of the last load to where `moves` has them, by telling nodes only what has changed.
 
         Returns whether that was more than nothing. Raises SceneError as `load` does, and then the nodes hold what they
         held; ArrayError without a load of the same groups before.
         """
         held, self.held = self.held, None
-        if held is None or held.moves.groups is not moves.groups:
+        if held is None or held.moves is None or held.moves.groups is not moves.groups:
             raise ArrayError("an increment came without a load of the same groups before it")
         try:
             order = increment(held, moves)
@@ -290,7 +288,7 @@ class Driver:
             self._wait_arrived(held.dealt, self.wave({"do": "hand"})["sums"][SUM_RECEIVED])
             self.wave({"do": "build"})
             self._quiet = True
-        self.held = held._replace(moves=moves)
+        self.held = held._replace(moves=moves, key=key)
         return order is not None
 
     def _look_up(self) -> None:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import click
 
 from raygrid.host.cli.types import AnyType, FileName, FramesType, NumberType, ShapeType, path_option
+from raygrid.host.render.given_settings import SETTINGS, GivenSettings
 
 # Options of `render` that a job has, too; the others belong to the array, and so to `up`.
-SETTINGS = ("size", "samples", "depth", "min_weight", "highlights", "split")
 OF_RENDER = (*SETTINGS, "budget", "transfer", "turntable", "turntable_scene", "program")
 
 Command = Callable[..., Any]
@@ -154,10 +154,10 @@ def submit(scene: str, **options: Any) -> None:
     from raygrid.host.cli.commands.submit import SubmitRequest, run_submit
     from raygrid.host.image.frames import turntable_of
 
-    settings = {name: options.pop(name) for name in SETTINGS}
+    settings = cast(GivenSettings, {name: options.pop(name) for name in SETTINGS})
     turntable = turntable_of(options.pop("turntable"), options.pop("turntable_scene"))
     client = f"session {os.getsid(0)}"
-    run_submit(SubmitRequest(scene, settings=settings, turntable=turntable, client=client, **options))
+    run_submit(SubmitRequest(scene=scene, settings=settings, turntable=turntable, client=client, **options))
 
 
 @click.command(epilog=WAIT_EXAMPLES)

@@ -16,7 +16,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, cast
 
 import click
 
@@ -154,8 +154,10 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
 
     SCENE is a file of one of these kinds: .nff .obj .ply .stl .glb .gltf .toml
     """
-    from raygrid.host.cli.commands.render import RenderRequest, run_render
+    from raygrid.host.cli.commands.render import run_render
+    from raygrid.host.cli.commands.render_request import RenderRequest
     from raygrid.host.image.frames import default_outputs, turntable_of, wants_shot
+    from raygrid.host.render.given_settings import GivenSettings
 
     of_machine = ("batch", "budget", "transfer", "stats", "patience", "attempts", "fault", "quiet", "profile")
     names = (*of_machine, "probe_record", "chrome_trace", "probe_rate", "frames", "program", "allow_programs", "resume")
@@ -165,14 +167,13 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
         raise click.UsageError("--cost and --search came without --timed")
     machine |= {"cost": (cost or "8086") if timed else None, "search": search}
     turntable = turntable_of(options.pop("turntable"), options.pop("turntable_scene"))
-    named = [*outputs, *filter(None, [machine["stats"]])]
-    several = wants_shot(machine["frames"], turntable is not None, named)
+    several = wants_shot(machine["frames"], turntable is not None, outputs, machine["stats"])
     if timed and (several or machine["program"] is not None):
         raise click.UsageError("--timed came with --frames, --turntable or --program, wanted one frame without a program")
     if several and (machine["profile"] or machine["probe_record"] or machine["chrome_trace"]):
         raise click.UsageError("--profile, --probe-record or --chrome-trace came with several frames, wanted a single one")
     outputs = outputs or default_outputs(scene, several)
-    request = RenderRequest(scene, shape, outputs, **machine, settings=options, turntable=turntable)
+    request = RenderRequest(scene, shape, outputs, **machine, settings=cast(GivenSettings, options), turntable=turntable)
     if request.resume and not several:
         raise click.UsageError("--resume came without frames, wanted --frames, --turntable, or a number such as %04d in a name")
     run_render(request)

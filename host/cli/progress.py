@@ -84,7 +84,7 @@ class ProgressReporter:
         self._print(f"note: {text}")
 
     def fault(self, fault: FaultReport) -> None:
-        """Told by `render_steadily` of what went wrong and was made good."""
+        """Told by a render session of what went wrong and was made good."""
         self.remark(f"{fault.what}; the array was reset in {fault.seconds[1]:.2f} s, and the frame begins anew")
 
     def say(self, text: str) -> None:

@@ -14,7 +14,7 @@ else:
     AnyType = click.ParamType  # not generic before click 8.4
 
 
-MOST_SIDE, MOST_PIXELS = 65536, 1 << 28  # those of `raygrid.host.render.job`, which takes long to import
+MOST_SIDE, MOST_PIXELS = 65536, 1 << 28  # those of `raygrid.host.render.machine_job`, which takes long to import
 SIZES = f"wanted sides of 1 to {MOST_SIDE} and at most {MOST_PIXELS:,} pixels"
 
 

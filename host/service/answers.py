@@ -127,6 +127,7 @@ class Answers:
         """How the array is (docs/service.md)."""
         service = self._service
         pids, shape = service.worker.supervisor.pids, service.options.shape
+        session = service.worker.supervisor.session
         nodes = await asyncio.to_thread(service.samples.nodes, pids, shape)
         loads = [node["load"] for node in nodes if node["load"] is not None]
         schedule = service.jobs.schedule
@@ -147,8 +148,8 @@ class Answers:
             "queue": {"jobs": len(schedule.entries), "frames": schedule.frames_queued},
             "running": running,
             "frames": {name: service.counts[name] for name in ("done", "skipped", "failed")},
-            "floods": service.worker.supervisor.floods,
-            "increments": service.worker.supervisor.increments,
+            "floods": 0 if session is None else session.floods,
+            "increments": 0 if session is None else session.increments,
             "links": {"served_by": "python" if why_python() else "compiled", "why": why_python()},
             "resets": service.counts["resets"],
             "faults": {"count": service.fault_count, "last": list(service.faults)},

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from raygrid.host.service.scene_store import PreparedFrame
+    from raygrid.host.render.prepared import PreparedFrame
 
 LOOK_SECONDS = 0.05  # between two looks at whether a call is still wanted
 STOPPED_SECONDS = 0.75  # a process that is stopped (SIGSTOP) for longer than this is lost, as a node is

@@ -21,7 +21,7 @@ import numpy as np
 
 from raygrid.emulator.processes import end_with_parent
 from raygrid.host.service.pickled_calls import Shared, pack, receiving
-from raygrid.host.service.scene_store import PreparedFrame, SceneStore, wanted_by
+from raygrid.host.service.scene_store import SceneStore, wanted_by
 from raygrid.host.service.scribe import SHARED, Begun, Finished
 from raygrid.host.text.error_text import told
 from raygrid.node.errors import RaygridError
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from raygrid.host.client.requests import SubmitMessage
     from raygrid.host.image.picture import Picture
+    from raygrid.host.render.prepared import PreparedFrame
     from raygrid.host.service.job_files import JobFiles
     from raygrid.node.programs import Program
     from raygrid.node.protocol import Frame

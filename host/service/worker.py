@@ -1,4 +1,4 @@
-"""The thread of a service that drives the array: one frame after another, and what became of each.
+"""Drives the array in a thread of the service: one frame after another, and tells what became of each.
 
 The service hands it tasks and interrupts it; it answers by events, each handed to `post` in this thread.
 """
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from raygrid.emulator.driver import Progress
     from raygrid.host.client.requests import SubmitMessage
     from raygrid.host.image.picture import Picture
-    from raygrid.host.render.job import Job
-    from raygrid.host.service.scene_store import PreparedFrame
+    from raygrid.host.render.machine_job import Job
+    from raygrid.host.render.prepared import PreparedFrame
 
 LAUNCH_SECONDS = 5.0  # between two attempts to launch an array that could not be
 LOOK_SECONDS = 0.25  # between two looks at an array that has nothing to do
@@ -87,10 +87,7 @@ class Options:
 
 
 class Worker(threading.Thread):
-    """Drives the array.
-
-    keeper    of the array
-    """
+    """Drives the array, which its `supervisor` keeps."""
 
     def __init__(self, options: Options, post: Callable[[Event], None]) -> None:
         super().__init__(name="array", daemon=True)
@@ -259,8 +256,8 @@ class Worker(threading.Thread):
         return played
 
     def _picture(self, task: Task, ready: PreparedFrame) -> Picture:
-        ready = replace(ready, job=replace(ready.job, add_missed=self._add_missed))
-        picture = self.supervisor.render(ready, task.request.budget, self._watch(task, ready))
+        job = replace(ready.job, add_missed=self._add_missed)
+        picture = self.supervisor.render(job, task.request.budget, self._watch(task, ready))
         if (blank := picture.blank()) is not None:
             self._note(task, [blank if task.frame is None else f"frame {task.frame}: {blank}"])
         return picture
@@ -270,13 +267,17 @@ class Worker(threading.Thread):
         sums += self._scribe.ask("background", job.settings.program, job.frame, job.space.step)
 
     def _watch(self, task: Task, ready: PreparedFrame) -> Callable[[str, Progress | None], None]:
+        from raygrid.host.render.machine_job import samples_expected
+
+        expected = samples_expected(ready.job)
+
         def watch(phase: str, now: Progress | None) -> None:
             self._look()
             if now is None:
                 self._tell(task, phase, 1.0 if phase == "collect" else 0.0, 0)
             elif time.monotonic() - self._told > TELL_SECONDS:
                 born, died = sum(now.born), sum(now.died)
-                part = min(1.0, now.primaries / ready.expected) * died / max(born, 1)
+                part = min(1.0, now.primaries / expected) * died / max(born, 1)
                 self._tell(task, phase, part, now.in_flight)
 
         return watch

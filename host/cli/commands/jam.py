@@ -27,7 +27,7 @@ class JamRequest:
     room      packets that a link's buffer holds
     budget    primary rays alive at once in the run with admission; None: as many as can surely not jam, 1 at least
     frame     of a shot, None for its first
-    settings  of `raygrid.host.render.job.Settings`
+    settings  of `raygrid.host.render.machine_job.Settings`
     """
 
     scene: str

@@ -37,7 +37,7 @@ class SimulateRequest:
     band      low and high costs, too
     outputs, stats, table, plots   paths to write, plots being a folder
     frame     of a shot, None for its first
-    settings  of `raygrid.host.render.job.Settings`
+    settings  of `raygrid.host.render.machine_job.Settings`
     """
 
     scene: str

@@ -24,7 +24,7 @@ class TraceRequest:
     pixel     column and row, 0,0 top left
     sample    the only sample to show, or None for all
     frame     of a shot, None for its first
-    settings  of `raygrid.host.render.job.Settings`
+    settings  of `raygrid.host.render.machine_job.Settings`
     """
 
     scene: str

@@ -130,7 +130,7 @@ def test_any_map_is_a_request_or_a_protocol_error(message, what):
 
 def test_the_bounds_are_those_of_whoever_keeps_them():
     from raygrid.host.client import requests
-    from raygrid.host.render import job
+    from raygrid.host.render import machine_job as job
     from raygrid.host.scene.animation import animation
     from raygrid.node.protocol import commands, packets
     from raygrid.node.runtime import probe

@@ -17,7 +17,8 @@ from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.emulator.processes.array import Array
 from raygrid.host.render.frame import render_job
 from raygrid.host.render.job import Job, Settings, make_job
-from raygrid.host.render.retry import RECOVERABLE, render_with_retries
+from raygrid.host.render.retry import RECOVERABLE
+from raygrid.host.render.session import RenderSession
 from raygrid.host.scene.load import load_scene
 from raygrid.node.errors import ProtocolError
 from raygrid.node.links.faulty_channel import DELAY, FAULT_KINDS, TICK_MS, FaultPlan, FaultyChannel, parse_fault, tend
@@ -187,7 +188,7 @@ def test_the_picture_is_right_or_there_is_none(kind):
         pictures = 0
         for _ in range(4):
             try:
-                picture = render_with_retries(array, job(), budget=500, attempts=4)
+                picture = RenderSession(array, attempts=4).render(job(), budget=500)
             except RECOVERABLE as error:
                 assert "\n" not in str(error)
                 array.reset()
