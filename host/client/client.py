@@ -18,7 +18,8 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Self
 
-from raygrid.host.client.connection import ANSWER_SECONDS, ENDED, Connection
+from raygrid.host.client.connection import ANSWER_SECONDS, Connection
+from raygrid.host.client.facts import ENDED
 from raygrid.host.client.protocol import Message, shown
 from raygrid.host.client.service_files import DEFAULT_NAME, ServiceRecord, find
 from raygrid.host.image.frames import absolute as absolute_pattern

@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from raygrid.emulator.topology import LONGEST_PATH, STATES, process_state
+from raygrid.host.client.facts import ENDED
 from raygrid.host.client.protocol import VERSION, Message, Splitter, pack, unsendable
 from raygrid.host.client.service_files import SOCKET, TOKEN, ServiceRecord, check_private, read_private
 from raygrid.node.errors import ArrayError, ProtocolError
@@ -30,7 +31,6 @@ QUIET_SECONDS = 30.0  # without any news of a job, after which the service is as
 FIRST_WAIT, LONGEST_WAIT = 0.01, 0.25  # seconds between two attempts at a door where others wait
 MOST_KEPT = 1000  # events that wait for a listener, above which it is not told of progress and samples
 PASSING = ("progress", "sample")  # events that are outdated by the next
-ENDED = ("done", "failed", "cancelled")
 
 T = TypeVar("T")
 
@@ -365,6 +365,3 @@ def _packed(request: Message) -> bytes:
         return pack(request)
     except ProtocolError as error:
         raise ArrayError(str(error)) from None
-
-
-__all__ = ["ANSWER_SECONDS", "ENDED", "QUIET_SECONDS", "Connection", "EventListener"]

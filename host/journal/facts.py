@@ -11,7 +11,7 @@ import sqlite3
 from pathlib import Path
 from typing import Any
 
-from raygrid.host.client.connection import ENDED
+from raygrid.host.client.facts import ENDED
 from raygrid.node.errors import OutputError
 
 BUSY_SECONDS = 5.0

@@ -20,12 +20,12 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from raygrid.host.client.facts import ENDED
 from raygrid.host.text.clean_text import printable
 from raygrid.node.errors import OutputError
 
 VERSION = 2  # 1 did not say when a job was begun
 KEPT = 1000  # jobs that have ended
-ENDED = ("done", "failed", "cancelled")
 BUSY_SECONDS = 5.0
 TABLES = """
 create table if not exists jobs (

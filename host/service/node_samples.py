@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Sequence
-from typing import Any
 
 from raygrid.emulator.topology import STATES
+from raygrid.host.client.facts import NodeFacts
 from raygrid.node.runtime import proportional_memory
 
 TICKS = os.sysconf("SC_CLK_TCK")
@@ -29,19 +29,12 @@ class Samples:
         self._older = self._newer
         self._newer = time.monotonic(), {pid: process_times(pid)[1] for pid in pids}
 
-    def nodes(self, pids: Sequence[int], shape: Shape) -> list[dict[str, Any]]:
-        """A map a node, x fastest.
-
-        node         its coordinates
-        pid, state   of its process
-        cpu_seconds  that it has used
-        load         part of a processor that it used lately, 0 to 1; None if that is not known yet
-        pss          bytes of its memory, of pages that n processes share the n-th part
-        """
+    def nodes(self, pids: Sequence[int], shape: Shape) -> list[NodeFacts]:
+        """What the kernel says of each node, x fastest."""
         now = time.monotonic()
         since, before = self._newer if now - self._newer[0] >= LEAST_SPAN else self._older
         nx, ny, _ = shape
-        found = []
+        found: list[NodeFacts] = []
         for number, pid in enumerate(pids):
             state, spent = process_times(pid)
             load = (spent - before[pid]) / (now - since) if pid in before and now > since else None

@@ -13,8 +13,8 @@ from typing import Any
 
 from raygrid.emulator.topology import SocketDirectory
 from raygrid.host.client.service_files import JOURNAL, Home
+from raygrid.host.service.events import Options
 from raygrid.host.service.service import ENDING, ArrayService
-from raygrid.host.service.worker import Options
 from raygrid.host.text.standard_streams import ready_streams
 from raygrid.node.errors import RaygridError
 
@@ -37,7 +37,7 @@ async def _serve(home: Home, options: Options, place: SocketDirectory, tell: Any
     endpoint = Endpoint(families, port)  # first: what keeps it from its port is said before anything is launched
     try:
         service = ArrayService(home, options, place, tell)
-        service.prometheus = endpoint.port
+        service.state.prometheus = endpoint.port
         services.append(service)
         return await service.run()
     finally:

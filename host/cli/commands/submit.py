@@ -10,7 +10,8 @@ from typing import Any
 
 from raygrid.host.cli.progress import PHASES, ProgressReporter
 from raygrid.host.client.client import absolute, pattern_at
-from raygrid.host.client.connection import ENDED, Connection, EventListener
+from raygrid.host.client.connection import Connection, EventListener
+from raygrid.host.client.facts import ENDED
 from raygrid.host.client.service_files import find
 from raygrid.host.files.input_guard import STANDARD, check_outputs, note
 from raygrid.host.image.frames import (
