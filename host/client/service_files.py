@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from raygrid.emulator.topology import process_mark
+from raygrid.host.files.part_files import replacing
 from raygrid.host.files.state_home import state_home
 from raygrid.node.errors import ArrayError
 
@@ -225,18 +226,8 @@ def runs_already(directory: Path) -> ArrayError:
 
 def write_private(path: Path, text: str) -> None:
     """Write a file with mode 0600, whole or not at all. Raises OSError."""
-    part = path.with_name(f".{path.name}.part")
-    with contextlib.suppress(FileNotFoundError):
-        part.unlink()
-    descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
-    try:
-        with open(descriptor, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.replace(part, path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            part.unlink()
-        raise
+    with replacing(str(path), mode=0o600) as (_, file):
+        file.write(text.encode())
 
 
 def read_private(path: Path) -> str:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Sequence
 
-from raygrid.emulator.topology import STATES
+from raygrid.emulator.topology import STATES, process_times
 from raygrid.host.client.facts import NodeFacts
 from raygrid.node.runtime import proportional_memory
 
-TICKS = os.sysconf("SC_CLK_TCK")
 NODE_STATES = STATES | {"": "gone"}  # told apart from one that has ended and waits to be reaped
 LEAST_SPAN = 0.5  # seconds over which a load is measured, if it can be
 
@@ -49,13 +47,3 @@ class Samples:
                 }
             )
         return found
-
-
-def process_times(pid: int) -> tuple[str, float]:
-    """(state as the kernel's letter, seconds of processor time); ("", 0.0) for a process that is gone."""
-    try:
-        with open(f"/proc/{pid}/stat", "rb") as file:
-            fields = file.read().rpartition(b")")[2].split()
-        return fields[0].decode(), (int(fields[11]) + int(fields[12])) / TICKS
-    except (OSError, IndexError, ValueError):
-        return "", 0.0

@@ -9,7 +9,7 @@ import time
 import pytest
 from support.processes import no_leftovers
 
-from raygrid.emulator.topology.socket_directory import process_mark
+from raygrid.emulator.topology.process_stat import process_mark
 from raygrid.host.client import connection as module
 from raygrid.host.client.connection import Connection
 from raygrid.host.client.protocol import VERSION, Splitter, pack
