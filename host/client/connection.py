@@ -22,7 +22,7 @@ from typing import TypeVar
 
 from raygrid.emulator.topology import LONGEST_PATH, STATES, process_state
 from raygrid.host.client.facts import ENDED
-from raygrid.host.client.protocol import VERSION, Message, Splitter, pack, unsendable
+from raygrid.host.client.protocol import VERSION, Message, message_splitter, pack, unsendable
 from raygrid.host.client.service_files import SOCKET, TOKEN, ServiceRecord, check_private, read_private
 from raygrid.node.errors import ArrayError, ProtocolError
 
@@ -95,7 +95,7 @@ class Connection:
     def __init__(self, record: ServiceRecord, timeout: float = ANSWER_SECONDS) -> None:
         """Connect and be let in. Raises ArrayError if there is no service, or if it does not answer."""
         self.record, self._timeout = record, timeout
-        self._splitter = Splitter()
+        self._splitter = message_splitter()
         self._changed = threading.Condition()  # holds all that follows, but for the bytes of the socket
         self._sending = threading.Lock()
         self._reading = self._closed = False
@@ -119,7 +119,7 @@ class Connection:
                 raise ArrayError(str(answer["error"]))
             time.sleep(wait)
             wait = min(2.0 * wait, LONGEST_WAIT)
-            self._splitter, self._broken, self._parting = Splitter(), "", ""
+            self._splitter, self._broken, self._parting = message_splitter(), "", ""
 
     # --- asking ---------------------------------------------------------------------------------------
 

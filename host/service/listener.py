@@ -22,12 +22,13 @@ from collections import Counter
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
-from raygrid.host.client.protocol import LONGEST, LONGEST_GREETING, VERSION, Message, Splitter, pack
+from raygrid.host.client.protocol import LONGEST, LONGEST_GREETING, VERSION, Message, message_splitter, pack
 from raygrid.host.client.requests import Request, read_request
 from raygrid.host.client.service_files import SOCKET, TOKEN, write_private
 from raygrid.host.text.clean_text import printable
 from raygrid.host.text.error_text import told
 from raygrid.node.errors import ProtocolError, RaygridError
+from raygrid.node.protocol import Splitter
 
 GREETING_SECONDS = 5.0
 MOST_CLIENTS = 200
@@ -160,7 +161,7 @@ class Listener:
         if len(self._tasks) > MOST_CLIENTS + MOST_BRIEF:
             self._refuse(client, "crowd", self._crowded())
             return
-        splitter = Splitter(LONGEST_GREETING)
+        splitter = message_splitter(LONGEST_GREETING)
         try:
             async with asyncio.timeout(GREETING_SECONDS):
                 greeting = await _next(splitter, reader)
@@ -195,7 +196,7 @@ class Listener:
         self.refused[why] += 1
         client.send({"is": "error", "why": why, "error": f"the array refused this client: {told}"})
 
-    async def _serve(self, client: ClientConnection, splitter: Splitter, reader: asyncio.StreamReader) -> None:
+    async def _serve(self, client: ClientConnection, splitter: Splitter[Message], reader: asyncio.StreamReader) -> None:
         """Answer requests until the client is gone, or sends what is no message: then nobody knows where the next begins."""
         try:
             while (message := await self._hear(client, splitter, reader)) is not None:
@@ -207,7 +208,9 @@ class Listener:
         except ProtocolError as error:
             self._refuse(client, "request", str(error))
 
-    async def _hear(self, client: ClientConnection, splitter: Splitter, reader: asyncio.StreamReader) -> Message | None:
+    async def _hear(
+        self, client: ClientConnection, splitter: Splitter[Message], reader: asyncio.StreamReader
+    ) -> Message | None:
         """The next message of a client, None if it is gone or has to go. Raises ProtocolError."""
         while True:
             try:
@@ -256,7 +259,7 @@ def _is_ours(writer: asyncio.StreamWriter) -> bool:
     return bool(user == os.geteuid())
 
 
-async def _next(splitter: Splitter, reader: asyncio.StreamReader) -> Message | None:
+async def _next(splitter: Splitter[Message], reader: asyncio.StreamReader) -> Message | None:
     """The next message; None when the peer has closed. Raises ProtocolError."""
     while (message := splitter.next()) is None:
         piece = await reader.read(PIECE)

@@ -12,7 +12,7 @@ from support.processes import no_leftovers
 from raygrid.emulator.topology.process_stat import process_mark
 from raygrid.host.client import connection as module
 from raygrid.host.client.connection import Connection
-from raygrid.host.client.protocol import VERSION, Splitter, pack
+from raygrid.host.client.protocol import VERSION, message_splitter, pack
 from raygrid.host.client.service_files import SOCKET, TOKEN, ServiceRecord, write_private
 from raygrid.node.errors import ArrayError
 
@@ -36,7 +36,7 @@ class Played:
     def accept(self):
         guest, _ = self._listener.accept()
         guest.settimeout(20.0)
-        self.guests.append((guest, Splitter()))
+        self.guests.append((guest, message_splitter()))
         return len(self.guests) - 1
 
     def hear(self, guest=0):
