@@ -243,9 +243,9 @@ def warm_with_few_processes(report: Callable[[int, int, str], None]) -> None:
 FRONT_END = """
 import os, select, signal, sys
 from raygrid.emulator.processes.fork_server_client import ForkServerClient
-from raygrid.emulator.topology.socket_directory import Place
+from raygrid.emulator.topology.socket_directory import SocketDirectory
 path, warm, how = sys.argv[1:]
-with Place.create((3, 1, 1)) as place:
+with SocketDirectory.create((3, 1, 1)) as place:
     program = dict(program="support.processes", warm="support.processes:" + warm)
     nursery = ForkServerClient.start(directory=place.path, **program)
     print(place.path, nursery.pid, flush=True)
