@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from raygrid.host.cli.types import AnyType, FileName, FramesType, NumberType, ShapeType, path_option
+from raygrid.host.text.bounds import MAX_JOB, MAX_PRIORITY, MOST_LISTED
 
 # Options of `render` that a job has, too; the others belong to the array, and so to `up`.
 SETTINGS = ("size", "samples", "depth", "min_weight", "highlights", "split")
@@ -141,7 +142,7 @@ def list_arrays(as_json: bool) -> None:
                    "[default: the scene's name with .png, or with _%04d.png, here]")
 @path_option("--stats", metavar="FILE", help="As for render; %04d as for -o.")
 @click.option("--resume", is_flag=True, help="Skip frames whose files are there, whole, and of just this job.")
-@click.option("--priority", type=NumberType(-100, 100), default=0, show_default=True, metavar="N",
+@click.option("--priority", type=NumberType(-MAX_PRIORITY, MAX_PRIORITY), default=0, show_default=True, metavar="N",
               help="Frames of jobs with a higher one go first.")
 @click.option("--detach", is_flag=True, help="Print the number of the job and return at once.")
 @click.option("--json", "as_json", is_flag=True, help="Print a line of JSON for each event.")
@@ -161,7 +162,7 @@ def submit(scene: str, **options: Any) -> None:
 
 
 @click.command(epilog=WAIT_EXAMPLES)
-@click.argument("job", type=NumberType(1, 1 << 53))
+@click.argument("job", type=NumberType(1, MAX_JOB))
 @_name_option
 @click.option("--json", "as_json", is_flag=True, help="Print a line of JSON for each event.")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors.")
@@ -174,7 +175,7 @@ def wait(job: int, **options: Any) -> None:
 
 @click.command(short_help="List the jobs of an array, also of one that is not up.", epilog=JOBS_EXAMPLES)
 @_name_option
-@click.option("--ended", type=NumberType(0, 10_000), default=10, show_default=True, metavar="N",
+@click.option("--ended", type=NumberType(0, MOST_LISTED), default=10, show_default=True, metavar="N",
               help="How many of the jobs that have ended.")
 @_json_option
 def jobs(**options: Any) -> None:
@@ -188,7 +189,7 @@ def jobs(**options: Any) -> None:
 
 
 @click.command(epilog=CANCEL_EXAMPLES)
-@click.argument("numbers", metavar="JOB...", nargs=-1, type=NumberType(1, 1 << 53))
+@click.argument("numbers", metavar="JOB...", nargs=-1, type=NumberType(1, MAX_JOB))
 @click.option("--all", "everything", is_flag=True, help="All jobs.")
 @_name_option
 def cancel(numbers: tuple[int, ...], everything: bool, name: str) -> None:

@@ -33,6 +33,7 @@ from raygrid.host.cli.types import (
     path_option,
 )
 from raygrid.host.files.input_guard import noted
+from raygrid.host.text.bounds import MAX_BUDGET, MAX_DEPTH, MAX_FRAMES, MAX_RATE, MAX_SAMPLES, MAX_WEIGHT
 from raygrid.host.text.standard_streams import ready_streams
 
 DEBUG = "RAYGRID_DEBUG"
@@ -98,17 +99,17 @@ def cli() -> None:
 @click.option("--array", "shape", type=ShapeType(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
               help="Processors on each axis.")
 @click.option("--size", type=PairType(), metavar="WxH", help="Pixels.  [default: what the scene asks for, else 512x512]")
-@click.option("--samples", type=NumberType(1, 1 << 32), metavar="N", help="Samples a pixel.  [default: the scene's, else 1]")
-@click.option("--depth", type=NumberType(1, 31), metavar="N",
+@click.option("--samples", type=NumberType(1, MAX_SAMPLES), metavar="N", help="Samples a pixel.  [default: the scene's, else 1]")
+@click.option("--depth", type=NumberType(1, MAX_DEPTH), metavar="N",
               help="Depth of the last hit that is lit, 1 to 31; the eye's ray has depth 1.  [default: the scene's, else 5]")
-@click.option("--min-weight", type=NumberType(0.0, 1e30), metavar="WEIGHT",
+@click.option("--min-weight", type=NumberType(0.0, MAX_WEIGHT), metavar="WEIGHT",
               help="Rays fainter than this are not born.  [default: the scene's, else 0]")
 @click.option("--highlights/--no-highlights", default=None, help="Phong highlights.  [default: off for NFF, else on]")
 @click.option("--split", type=click.Choice(["balanced", "uniform"]), default="balanced", show_default=True,
               help="Where the planes between processors lie: so that work is spread, or in equal boxes.")
 @click.option("--batch", type=NumberType(1, 8192), default=4096, show_default=True, metavar="PACKETS",
               help="Most packets a message; 1 is the machine of 1983.")
-@click.option("--budget", type=NumberType(1, (1 << 32) - 1), default=1 << 20, show_default=True, metavar="PACKETS",
+@click.option("--budget", type=NumberType(1, MAX_BUDGET), default=1 << 20, show_default=True, metavar="PACKETS",
               help="Packets in flight below which new primary rays are admitted.")
 @click.option("--transfer", type=click.Choice(["srgb", "linear"]), default="srgb", show_default=True,
               help="From linear radiance to the bytes of a picture.")
@@ -117,8 +118,8 @@ def cli() -> None:
                    "repeated.  [default: the scene's name with .png, here]")
 @click.option("--frames", type=FramesType(), metavar="A-B",
               help="Render these frames of a shot; FILE then has a number such as %04d in its name, or is .gif .webp .mp4.")
-@click.option("--turntable", type=NumberType(1, 1_000_000), metavar="N", help="The camera goes once round the scene in N frames.")
-@click.option("--turntable-scene", type=NumberType(1, 1_000_000), metavar="N",
+@click.option("--turntable", type=NumberType(1, MAX_FRAMES), metavar="N", help="The camera goes once round the scene in N frames.")
+@click.option("--turntable-scene", type=NumberType(1, MAX_FRAMES), metavar="N",
               help="The scene turns once in N frames, under lights that stay.")
 @click.option("--resume", is_flag=True,
               help="Skip frames whose files are there, whole, and of just this shot: a .png says so itself, others are "
@@ -131,7 +132,7 @@ def cli() -> None:
               help="Keep how every node stood, line by line, as JSON. For a single frame.")
 @path_option("--chrome-trace", metavar="FILE",
               help="Write the same as a trace for Perfetto. For a single frame.")
-@click.option("--probe-rate", type=NumberType(0.01, 100.0), default=10.0, show_default=True, metavar="HZ",
+@click.option("--probe-rate", type=NumberType(0.01, MAX_RATE), default=10.0, show_default=True, metavar="HZ",
               help="How often a node tells how it stands, if anybody asks.")
 @click.option("--profile", is_flag=True,
               help="Say where each processor's time went: receive, birth, decode, walk, hit, shade, send, other, wait. "
@@ -216,7 +217,7 @@ def info(scene: str, as_json: bool) -> None:
 
 @cli.command(epilog=EXPORT_EXAMPLES)
 @click.argument("scene")
-@click.option("--depth", type=NumberType(1, 31), metavar="N", help="As for render.  [default: the scene's, else 5]")
+@click.option("--depth", type=NumberType(1, MAX_DEPTH), metavar="N", help="As for render.  [default: the scene's, else 5]")
 @click.option("--highlights/--no-highlights", default=None, help="As for render.  [default: off for NFF, else on]")
 @path_option(
     "-o",
@@ -224,7 +225,7 @@ def info(scene: str, as_json: bool) -> None:
     metavar="FILE",
     help="File to write.  [default: the scene's name with .pov, here]",
 )
-@click.option("--frame", type=NumberType(1, 1_000_000), metavar="N", help="The frame of a shot.  [default: 1]")
+@click.option("--frame", type=NumberType(1, MAX_FRAMES), metavar="N", help="The frame of a shot.  [default: 1]")
 @outside_option
 @debug_option
 def export(scene: str, depth: int | None, highlights: bool | None, output: str | None, frame: int | None) -> None:

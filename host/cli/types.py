@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from raygrid.host.text.bounds import MAX_PIXELS, MAX_SIDE
+
 if TYPE_CHECKING:
     AnyType = click.ParamType[Any]
 else:
     AnyType = click.ParamType  # not generic before click 8.4
 
 
-MOST_SIDE, MOST_PIXELS = 65536, 1 << 28  # those of `raygrid.host.render.job`, which takes long to import
-SIZES = f"wanted sides of 1 to {MOST_SIDE} and at most {MOST_PIXELS:,} pixels"
+SIZES = f"wanted sides of 1 to {MAX_SIDE} and at most {MAX_PIXELS:,} pixels"
 
 
 class PairType(AnyType):
@@ -31,7 +32,7 @@ class PairType(AnyType):
         if any(len(number) > 9 or int(number) < 1 for number in numbers):
             self.fail(f"{shorten(value)} came, {SIZES}", param, ctx)
         width, height = int(numbers[0]), int(numbers[1])
-        if max(width, height) > MOST_SIDE or width * height > MOST_PIXELS:
+        if max(width, height) > MAX_SIDE or width * height > MAX_PIXELS:
             self.fail(f"{shorten(value)} came, {SIZES}", param, ctx)
         return width, height
 

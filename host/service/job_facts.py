@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, TypedDict, TypeGuard
 
 from raygrid.host.image.frames import LAST_FRAME
+from raygrid.host.text.bounds import LONGEST_CLIENT, LONGEST_PATH, MOST_OUTPUTS
 from raygrid.host.text.clean_text import printable
 
 if TYPE_CHECKING:
@@ -14,8 +15,6 @@ if TYPE_CHECKING:
     from raygrid.host.journal.journal import JobRow
     from raygrid.host.service.schedule import Entry
 
-LONGEST_PATH = 4096
-MOST_OUTPUTS = 16
 LEAST_BYTES = 300  # of a job's facts as a message, without its texts
 
 
@@ -51,7 +50,7 @@ def row_facts(row: JobRow) -> JobFacts:
     return {
         "job": row.job,
         "state": row.state,
-        "client": printable(row.client, 64),
+        "client": printable(row.client, LONGEST_CLIENT),
         **_asked(row.request),
         "done": row.done,
         "skipped": row.skipped,

@@ -17,7 +17,7 @@ from raygrid.host.service.schedule import Entry, JobState, Schedule
 from raygrid.host.text.clean_text import printable
 from raygrid.node.errors import OutputError, ProtocolError, RaygridError
 
-MOST_JOBS = 10_000  # that have not ended
+MOST_UNFINISHED = 10_000  # that have not ended
 MOST_QUEUED = 1_000_000  # frames of them all
 MOST_REMARKS = 20
 
@@ -74,8 +74,8 @@ class Jobs:
 
     def submit(self, request: SubmitMessage) -> Entry:
         """Queue a job. Raises OutputError if it cannot be recorded, RaygridError if there are too many."""
-        if len(self.schedule.entries) >= MOST_JOBS:
-            raise RaygridError(f"{MOST_JOBS} jobs are queued already, wanted fewer")
+        if len(self.schedule.entries) >= MOST_UNFINISHED:
+            raise RaygridError(f"{MOST_UNFINISHED} jobs are queued already, wanted fewer")
         first, last = request.frames or (0, 0)
         if self.schedule.frames_queued + last - first + 1 > MOST_QUEUED:
             raise RaygridError(
