@@ -9,10 +9,17 @@ from typing import Any
 import click
 
 from raygrid.host.cli.group_service import ArrayNameType
-from raygrid.host.cli.types import AnyType, FileName, NumberType, PairType, ShapeType, outside_option, path_option
+from raygrid.host.cli.types import (
+    AnyType,
+    Command,
+    FileName,
+    NumberType,
+    PairType,
+    ShapeType,
+    outside_option,
+    path_option,
+)
 from raygrid.host.text.bounds import MAX_BUDGET, MAX_DEPTH, MAX_FRAMES, MAX_RATE, MAX_SAMPLES, MAX_WEIGHT
-
-Command = Callable[..., Any]
 
 TRACE_EXAMPLES = """\b
 Examples:
@@ -49,7 +56,7 @@ class PixelType(AnyType):
 
     name = "place"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
         """Raises a usage error for anything else."""
         numbers = str(value).split(",")
         if len(numbers) != 2 or not all(

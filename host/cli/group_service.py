@@ -8,14 +8,12 @@ from typing import Any
 
 import click
 
-from raygrid.host.cli.types import AnyType, FileName, FramesType, NumberType, ShapeType, path_option
+from raygrid.host.cli.types import AnyType, Command, FileName, FramesType, NumberType, ShapeType, path_option
 from raygrid.host.text.bounds import MAX_JOB, MAX_PRIORITY, MOST_LISTED
 
 # Options of `render` that a job has, too; the others belong to the array, and so to `up`.
 SETTINGS = ("size", "samples", "depth", "min_weight", "highlights", "split")
 OF_RENDER = (*SETTINGS, "budget", "transfer", "turntable", "turntable_scene", "program")
-
-Command = Callable[..., Any]
 
 UP_EXAMPLES = """\b
 Examples:
@@ -77,7 +75,7 @@ class ArrayNameType(AnyType):
 
     name = "name"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """Raises a usage error for what cannot be one."""
         from raygrid.host.client.service_files import check_array_name
         from raygrid.node.errors import ArrayError

@@ -15,7 +15,8 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from types import FrameType
 from typing import Any
 
 import click
@@ -247,7 +248,7 @@ group_service.add_commands(cli, render, debug_option)
 group_inspect.add_commands(cli, debug_option)
 
 
-def _lines(facts: dict[str, Any], indent: str = "") -> Iterator[str]:
+def _lines(facts: Mapping[str, object], indent: str = "") -> Iterator[str]:
     """Facts as indented text."""
     from raygrid.host.text.clean_text import printable
 
@@ -268,7 +269,7 @@ def _lines(facts: dict[str, Any], indent: str = "") -> Iterator[str]:
             yield f"{label} {_short(value)}"
 
 
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
@@ -289,7 +290,7 @@ class EndedBySignal(BaseException):
         self.number = number
 
 
-def _end(number: int, _frame: Any) -> None:
+def _end(number: int, _frame: FrameType | None) -> None:
     raise EndedBySignal(number)
 
 

@@ -15,10 +15,11 @@ from raygrid.node.geometry import AnyKind
 from raygrid.node.tracing import UNIT
 
 VERSION = 1
+Facts = dict[str, Any]  # docs/trace.md
 SHADOW = "shadow"
 
 
-def trace_pixel(job: Job, x: int, y: int, only: int | None = None) -> dict[str, Any]:
+def trace_pixel(job: Job, x: int, y: int, only: int | None = None) -> Facts:
     """The ray trees of the samples of a pixel, row 0 on top; `only`: of that sample (docs/trace.md).
 
     Raises SceneMisuse for a pixel or sample that is not there, ArrayError if the array contradicts itself.
@@ -60,12 +61,12 @@ class _Trees:
         self._kinds: dict[int, AnyKind] = {}
         self._surfaces = job.surfaces
 
-    def sample(self, sample: SampleTree) -> dict[str, Any]:
+    def sample(self, sample: SampleTree) -> Facts:
         ray = None if sample.ray is None else self._ray(sample.ray)
         return {"sample": sample.number, "units": list(sample.units), "ray": ray}
 
-    def _ray(self, ray: Ray) -> dict[str, Any]:
-        told: dict[str, Any] = {"kind": ray.kind.name.lower(), "depth": ray.depth}
+    def _ray(self, ray: Ray) -> Facts:
+        told: Facts = {"kind": ray.kind.name.lower(), "depth": ray.depth}
         if ray.light is not None:
             told["light"] = ray.light
             told["light_kind"] = light_kind(self._lights[ray.light])
@@ -115,7 +116,7 @@ class _Trees:
 # --- for people ----------------------------------------------------------------------------------
 
 
-def headline(told: dict[str, Any]) -> str:
+def headline(told: Facts) -> str:
     """What was asked, and what all samples add up to."""
     x, y = told["pixel"]
     width, height = told["size"]
@@ -128,14 +129,14 @@ def headline(told: dict[str, Any]) -> str:
     )
 
 
-def sample_line(tree: dict[str, Any]) -> str:
+def sample_line(tree: Facts) -> str:
     """One line on a sample."""
     adds = _three([units / UNIT for units in tree["units"]])
     missed = "" if tree["ray"] else ", its ray misses the world box: background"
     return f"sample {tree['sample']}: {adds}{missed}"
 
 
-def ray_line(ray: dict[str, Any]) -> str:
+def ray_line(ray: Facts) -> str:
     """One line on a ray: what it is, where it went, how it ended, what came back."""
     what = f"{ray['kind']} ray, depth {ray['depth']}, weight {_three(ray['weight'])}"
     if "light" in ray:
@@ -145,12 +146,12 @@ def ray_line(ray: dict[str, Any]) -> str:
     return f"{what}; {_way(ray)}; {_end(ray)}" + _back(ray)
 
 
-def _way(ray: dict[str, Any]) -> str:
+def _way(ray: Facts) -> str:
     before = "".join(f"born in {_cell(cell)}, " for cell in ray.get("handed_to_start", [])[:1])
     return before + "cells " + " > ".join(_cell(cell) for cell in ray["cells"])
 
 
-def _end(ray: dict[str, Any]) -> str:
+def _end(ray: Facts) -> str:
     hit, shadow = ray["hit"], ray["kind"] == SHADOW
     if hit is None:
         return "reached its light" if shadow else "left the world"
@@ -160,7 +161,7 @@ def _end(ray: dict[str, Any]) -> str:
     )
 
 
-def _back(ray: dict[str, Any]) -> str:
+def _back(ray: Facts) -> str:
     back = ray["returned"]
     if back is None:
         return "" if ray["hit"] else "; nothing came back"
@@ -170,7 +171,7 @@ def _back(ray: dict[str, Any]) -> str:
     )
 
 
-def plain_lines(told: dict[str, Any]) -> Iterator[str]:
+def plain_lines(told: Facts) -> Iterator[str]:
     """The whole tree as text, two blanks a level."""
     yield headline(told)
     for tree in told["trees"]:

@@ -49,7 +49,7 @@ def unpack(body: bytes | bytearray) -> Message:
     return message
 
 
-def _check_plain(value: Message | list[Any]) -> None:
+def _check_plain(value: Message | list[object]) -> None:
     for inner in value.values() if isinstance(value, dict) else value:
         if isinstance(inner, dict | list):
             _check_plain(inner)
@@ -69,7 +69,7 @@ def unsendable(message: Message) -> str:
     return ""
 
 
-def _wrong(value: Any, place: str, deeper: int) -> Iterator[tuple[str, Any, str]]:
+def _wrong(value: object, place: str, deeper: int) -> Iterator[tuple[str, object, str]]:
     if isinstance(value, dict | list):
         if deeper == 0 or len(value) > MOST_ITEMS:
             yield place, value, f"at most {MOST_ITEMS} items, and at most {DEEPEST} lists and maps within each other"
@@ -96,11 +96,11 @@ def _is_torn(text: str) -> bool:
     return any("\ud800" <= letter <= "\udfff" for letter in text)
 
 
-def _name(key: Any) -> str:
+def _name(key: object) -> str:
     return key[:SHOWN] if isinstance(key, str) and key.isprintable() else shown(key)
 
 
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     """A value as an error names it: as Python writes it, made short."""
     if type(value) is int and value.bit_length() > 512:  # thousands of digits take long to write, or are refused
         return f"a whole number of {value.bit_length()} bits"

@@ -6,7 +6,7 @@ docs/service.md describes each request and its answer.
 from __future__ import annotations
 
 import os
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -241,7 +241,7 @@ def read_job(message: Message) -> SubmitMessage:
 
 def _told(error: ValidationError, message: Message) -> str:
     """What is wrong with a map, by its first fault: what came and what was wanted."""
-    first: Any = error.errors(include_url=False)[0]
+    first = error.errors(include_url=False)[0]
     steps = [str(step) for step in first["loc"] if not isinstance(step, int)]
     if steps and steps[0] == message.get("do"):  # that is how pydantic says which of the requests it is
         del steps[0]
@@ -258,14 +258,15 @@ def _told(error: ValidationError, message: Message) -> str:
     return f"{name.removeprefix('settings.') or 'a request'} {said}, wanted {WANTED.get(name, first['msg'])}"
 
 
-def _at(message: Message, steps: list[str]) -> Any:
+def _at(message: Message, steps: list[str]) -> object:
     """What stands at a place in a message."""
-    found: Any = message
+    found: object = message
     for step in steps:
         found = found.get(step) if isinstance(found, dict) else None
     return found
 
 
-def _shown(value: Any, name: str) -> str:
-    is_size = name == "settings.size" and isinstance(value, list | tuple) and len(value) == 2
-    return "x".join(map(shown, value)) if is_size and all(type(side) is int for side in value) else shown(value)
+def _shown(value: object, name: str) -> str:
+    if name == "settings.size" and isinstance(value, list | tuple) and [type(side) for side in value] == [int, int]:
+        return "x".join(map(shown, value))
+    return shown(value)

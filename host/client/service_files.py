@@ -21,7 +21,6 @@ import re
 import stat
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from raygrid.emulator.topology import process_mark
 from raygrid.host.files.part_files import replacing
@@ -253,7 +252,7 @@ def read_record(directory: Path) -> ServiceRecord | None:
     if not os.path.lexists(directory / RECORD):
         return None
     try:
-        facts: dict[str, Any] = json.loads(read_private(directory / RECORD))
+        facts = json.loads(read_private(directory / RECORD))
         nx, ny, nz = map(int, facts["shape"])
         return ServiceRecord(
             str(facts["name"]),

@@ -86,7 +86,7 @@ class JobRow(NamedTuple):
 
     job: int
     client: str
-    request: dict[str, Any]
+    request: dict[str, object]
     submitted: float
     begun: float | None
     ended: float | None
@@ -186,7 +186,7 @@ class Journal:
                     self._base.execute("rollback")
                 raise
 
-    def add(self, client: str, request: dict[str, Any]) -> int:
+    def add(self, client: str, request: dict[str, object]) -> int:
         """Record a new job; returns its number. Raises OutputError, and then it is not recorded."""
         row = (printable(client), json.dumps(request), time.time())
         with self._change() as base:
@@ -308,7 +308,7 @@ class Journal:
 def read_row(row: Record) -> JobRow:
     """A row of the table `jobs` in the order of COLUMNS, and how many frames are done and skipped. Raises ValueError."""
     job, client, request, submitted, begun, ended, state, error, done, skipped = row
-    wanted: Any = json.loads(_text("request", request))
+    wanted = json.loads(_text("request", request))
     if not isinstance(wanted, dict):
         raise ValueError(f"the request came as {type(wanted).__name__}, wanted a map")
     for name, value in (("submitted", submitted), ("begun", begun), ("ended", ended)):
@@ -320,7 +320,7 @@ def read_row(row: Record) -> JobRow:
     return JobRow(job, printable(_text("client", client)), wanted, *times, *texts, done, skipped)
 
 
-def _text(name: str, value: Any) -> str:
+def _text(name: str, value: object) -> str:
     if not isinstance(value, bytes):
         raise ValueError(f"{name} came as {type(value).__name__}, wanted text")
     return value.decode()

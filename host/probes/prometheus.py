@@ -6,13 +6,16 @@ All are worked out when they are asked for.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from raygrid.host.client.facts import JOB_STATES, SERVICE_STATES, StatusFacts
 from raygrid.host.probes.sums import Gauges
 
 if TYPE_CHECKING:
     from prometheus_client import Metric
+    from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
+
+    LabelledFamily = type[CounterMetricFamily | GaugeMetricFamily]
 
 TOTALS = {
     "nodes": "Processors that have told how they stand",
@@ -80,9 +83,8 @@ def of_service(facts: StatusFacts) -> Iterator[Metric]:
     yield _labelled(CounterMetricFamily, "refused", "Clients and requests refused", "why", facts["refused"])
 
 
-def _labelled(kind: Any, name: str, text: str, label: str, values: dict[str, int]) -> Metric:
+def _labelled(kind: LabelledFamily, name: str, text: str, label: str, values: dict[str, int]) -> Metric:
     family = kind(f"raygrid_service_{name}", text, labels=[label])
     for value, number in values.items():
         family.add_metric([value], number)
-    made: Metric = family
-    return made
+    return family

@@ -51,7 +51,7 @@ def run_jam(request: JamRequest) -> None:
         reporter.phase("letting it jam, and then not")
         naive, admitted = _run(job, request.room, None), _run(job, request.room, budget)
     if request.as_json:
-        told: dict[str, Any] = {
+        told: dict[str, object] = {
             "scene": scene.name,
             "frame": job.number,
             "array": list(request.shape),

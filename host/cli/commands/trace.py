@@ -10,7 +10,7 @@ from typing import Any
 from raygrid.emulator.processes import LOOKING
 from raygrid.host.cli.commands.simulate import compiling
 from raygrid.host.cli.progress import ProgressReporter
-from raygrid.host.cli.trace import headline, plain_lines, ray_line, sample_line, trace_pixel
+from raygrid.host.cli.trace import Facts, headline, plain_lines, ray_line, sample_line, trace_pixel
 from raygrid.host.image.outputs import write_result
 from raygrid.host.render.animation_jobs import still_job
 from raygrid.host.render.job import Settings
@@ -52,7 +52,7 @@ def run_trace(request: TraceRequest) -> None:
         write_result("\n".join(plain_lines(told)))
 
 
-def _print_tree(told: dict[str, Any]) -> None:
+def _print_tree(told: Facts) -> None:
     from rich.console import Console
     from rich.text import Text
     from rich.tree import Tree
