@@ -77,11 +77,11 @@ def _say_failed(error: Exception, cli: click.Group, arguments: list[str]) -> int
     from raygrid.host.text.misuse import Misuse
 
     if isinstance(error, Misuse):
-        return _say_misuse(_command(cli, arguments), _told(error).removeprefix("raygrid: "))
+        return _say_misuse(_command(cli, arguments), _error_line(error).removeprefix("raygrid: "))
     if isinstance(error, OSError) and {"-h", "--help", "--version"} & set(arguments):  # click prints these by itself
         _say(f"raygrid: standard output cannot be written ({error.strerror})")
     else:
-        _say(_told(error) + _programs_hint(error, cli, _command(cli, arguments)))
+        _say(_error_line(error) + _programs_hint(error, cli, _command(cli, arguments)))
     return 1
 
 
@@ -115,7 +115,7 @@ def _misused(error: click.ClickException) -> str:
     return message
 
 
-def _told(error: Exception) -> str:
+def _error_line(error: Exception) -> str:
     """An error as one line, behind its traceback if that is wanted."""
     from raygrid.node.errors import RaygridError
 

@@ -1,4 +1,4 @@
-"""The commands that look into the machine: trace, jam, probe."""
+"""Declares the commands that look into the machine: trace, jam, probe."""
 
 from __future__ import annotations
 

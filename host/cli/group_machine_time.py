@@ -1,4 +1,4 @@
-"""The commands of machine time: simulate and law."""
+"""Declares the commands of machine time: simulate and law."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The commands for arrays that stay: up, list, submit, wait, jobs, cancel, status, reset, down."""
+"""Declares the commands for arrays that stay: up, list, submit, wait, jobs, cancel, status, reset, down."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The table of `--profile`: where each node's time went, in parts of a hundred."""
+"""Prints where each node's time went, in parts of a hundred: the table of `--profile`."""
 
 from __future__ import annotations
 

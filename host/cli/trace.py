@@ -1,4 +1,4 @@
-"""The provenance of a pixel in the scene's own terms: a map ready for JSON, and lines for people."""
+"""Describes the provenance of a pixel in the scene's own terms: a map ready for JSON, and lines for people."""
 
 from __future__ import annotations
 
@@ -66,13 +66,13 @@ class _Trees:
         return {"sample": sample.number, "units": list(sample.units), "ray": ray}
 
     def _ray(self, ray: Ray) -> Facts:
-        told: Facts = {"kind": ray.kind.name.lower(), "depth": ray.depth}
+        facts: Facts = {"kind": ray.kind.name.lower(), "depth": ray.depth}
         if ray.light is not None:
-            told["light"] = ray.light
-            told["light_kind"] = light_kind(self._lights[ray.light])
+            facts["light"] = ray.light
+            facts["light_kind"] = light_kind(self._lights[ray.light])
         if ray.inside:
-            told["total_internal_reflection"] = True
-        told |= {
+            facts["total_internal_reflection"] = True
+        facts |= {
             "weight": list(ray.weight),
             "origin": self._point(ray.origin),
             "direction": list(ray.direction),
@@ -81,9 +81,9 @@ class _Trees:
             "hit": None,
         }
         if ray.start:
-            told["handed_to_start"] = [list(cell) for cell in ray.cells[: ray.start]]
+            facts["handed_to_start"] = [list(cell) for cell in ray.cells[: ray.start]]
         if ray.met is not None:
-            told["hit"] = {
+            facts["hit"] = {
                 "surface": ray.met.surface,
                 "kind": self._kind(ray.met.surface).name.lower(),
                 "material": ray.met.material,
@@ -92,14 +92,14 @@ class _Trees:
                 "cell": list(ray.met.cell),
             }
         back = ray.came_back
-        told["returned"] = back and {
+        facts["returned"] = back and {
             "intensity": list(back.intensity),
             "units": list(back.units),
             "cells": [list(cell) for cell in back.cells],
             "home": list(back.cells[-1]),
         }
-        told["children"] = [self._ray(child) for child in ray.children]
-        return told
+        facts["children"] = [self._ray(child) for child in ray.children]
+        return facts
 
     def _point(self, point: tuple[float, float, float]) -> list[float]:
         """Machine coordinates as the scene's."""
@@ -116,16 +116,16 @@ class _Trees:
 # --- for people ----------------------------------------------------------------------------------
 
 
-def headline(told: Facts) -> str:
+def headline(facts: Facts) -> str:
     """What was asked, and what all samples add up to."""
-    x, y = told["pixel"]
-    width, height = told["size"]
-    shown, samples = len(told["trees"]), told["samples"]
+    x, y = facts["pixel"]
+    width, height = facts["size"]
+    shown, samples = len(facts["trees"]), facts["samples"]
     many = f"{samples} sample{'s' * (samples != 1)}" if shown == samples else f"{shown} of {samples} samples"
-    frame = "" if told["frame"] is None else f"frame {told['frame']} of {told['frames']}, "
+    frame = "" if facts["frame"] is None else f"frame {facts['frame']} of {facts['frames']}, "
     return (
-        f"{frame}pixel {x},{y} of {width}x{height}, {many}, array {_cell(told['array'], 'x')}: "
-        f"linear {_three(told['linear'])}, sum {' '.join(map(str, told['sum']))}"
+        f"{frame}pixel {x},{y} of {width}x{height}, {many}, array {_cell(facts['array'], 'x')}: "
+        f"linear {_three(facts['linear'])}, sum {' '.join(map(str, facts['sum']))}"
     )
 
 
@@ -171,10 +171,10 @@ def _back(ray: Facts) -> str:
     )
 
 
-def plain_lines(told: Facts) -> Iterator[str]:
+def plain_lines(facts: Facts) -> Iterator[str]:
     """The whole tree as text, two blanks a level."""
-    yield headline(told)
-    for tree in told["trees"]:
+    yield headline(facts)
+    for tree in facts["trees"]:
         yield sample_line(tree)
         waiting = [(1, tree["ray"])] if tree["ray"] else []
         while waiting:

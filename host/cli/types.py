@@ -1,4 +1,4 @@
-"""Types of options, and the option that every command has."""
+"""Checks what options are given: their types, and the options that several commands have."""
 
 from __future__ import annotations
 

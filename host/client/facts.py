@@ -1,4 +1,4 @@
-"""What a service says of its jobs and of itself, key by key: maps as messages and `--json` have them (docs/service.md)."""
+"""Names what a service says of its jobs and of itself, key by key: maps as messages and `--json` have them (docs/service.md)."""
 
 from __future__ import annotations
 

@@ -228,7 +228,7 @@ def read_request(message: Message) -> Request:
     try:
         return _REQUEST.validate_python(message)
     except ValidationError as error:
-        raise ProtocolError(_told(error, message)) from None
+        raise ProtocolError(_first_fault(error, message)) from None
 
 
 def read_job(message: Message) -> SubmitMessage:
@@ -236,10 +236,10 @@ def read_job(message: Message) -> SubmitMessage:
     try:
         return SubmitMessage.model_validate(message)
     except ValidationError as error:
-        raise ProtocolError(f"a job of the journal is none: {_told(error, message)}") from None
+        raise ProtocolError(f"a job of the journal is none: {_first_fault(error, message)}") from None
 
 
-def _told(error: ValidationError, message: Message) -> str:
+def _first_fault(error: ValidationError, message: Message) -> str:
     """What is wrong with a map, by its first fault: what came and what was wanted."""
     first = error.errors(include_url=False)[0]
     steps = [str(step) for step in first["loc"] if not isinstance(step, int)]

@@ -1,4 +1,4 @@
-"""Where an array that stays keeps its files, found by its name.
+"""Finds and keeps the files of an array that stays, by its name.
 
 $XDG_STATE_HOME/raygrid/NAME/       (~/.local/state/raygrid/NAME/), mode 0700; stays when the array ends
     journal.sqlite                  jobs and frames (`journal`)

@@ -1,4 +1,4 @@
-"""Samples of probes as a trace file in Chrome's trace event format, which Perfetto and chrome://tracing open.
+"""Writes samples of probes as a trace file in Chrome's trace event format, which Perfetto and chrome://tracing open.
 
 Each node is a process of the trace: a bar for each phase that it was in, and counters for its busy and waiting share, the
 packets that wait in it by class, and packets served a second. Times are wall time of this computer.

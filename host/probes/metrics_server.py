@@ -1,4 +1,4 @@
-"""An HTTP server of figures for Prometheus, on loopback only, in a thread of its own.
+"""Serves figures for Prometheus over HTTP, on loopback only, in a thread of its own.
 
 A visit has a thread for as long as it takes, which is bounded, and so is the number of visits at once: who comes when
 there are too many takes the place of the one that has been there longest, and waits until that has gone. So connections

@@ -1,4 +1,4 @@
-"""Figures for Prometheus: aggregates of probes, and how an array that stays is. No label grows with the array.
+"""Makes figures for Prometheus: aggregates of probes, and how an array that stays is. No label grows with the array.
 
 All are worked out when they are asked for.
 """

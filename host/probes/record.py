@@ -1,4 +1,4 @@
-"""Samples of probes as lines of JSON: one that describes the array, then one a sample (docs/probes.md)."""
+"""Writes and reads samples of probes as lines of JSON: one that describes the array, then one a sample (docs/probes.md)."""
 
 from __future__ import annotations
 

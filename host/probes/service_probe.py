@@ -1,4 +1,4 @@
-"""Samples of an array that stays, through its service."""
+"""Asks the service of an array that stays for samples of its nodes."""
 
 from __future__ import annotations
 

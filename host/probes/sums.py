@@ -1,4 +1,4 @@
-"""What samples of probes add up to: the latest of each node, and rates between two of them."""
+"""Adds samples of probes up: the latest of each node, and rates between two of them."""
 
 from __future__ import annotations
 

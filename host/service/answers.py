@@ -1,4 +1,4 @@
-"""What a service answers to each request of its clients (docs/service.md). Nothing here waits for the array but a reset."""
+"""Answers the requests of clients (docs/service.md). Nothing here waits for the array but a reset."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the service hands to the thread that drives its array, and what that thread tells back: tasks and events.
+"""Names the tasks that a service hands to the thread that drives its array, and the events that this posts back.
 
 events of the array   KernelsWarming, ArrayReady, ArrayBroken, ArrayRepaired, ArrayReset, NodeSampled, ArrayEnded
 events of a task      FrameBegun, SceneRemarked, FrameMoved; the last of it is one of FrameDone, FrameFailed and

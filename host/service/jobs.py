@@ -1,4 +1,4 @@
-"""The jobs of a service: the schedule in memory and the journal on disk, kept in step. No socket and no array in here."""
+"""Keeps the jobs of a service: schedule in memory and journal on disk, in step. No socket and no array in here."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""The door of a service: who may come in, and the bytes that go to and fro. What is asked is answered elsewhere.
+"""Lets clients in, and carries the bytes that go to and fro. What is asked is answered elsewhere.
 
 A client must be of the same user (the kernel says so), and must present the secret of the token file in its first
 message, within GREETING_SECONDS. Others are refused and counted.
 
 MOST_CLIENTS may stay. Some more places are kept for those who only look after the array: who comes when it is full may ask
-what BRIEF names, and must not idle. So whoever crowds the door, the array can be asked how it is, and taken down.
+what BRIEF names, and must not idle. So whoever crowds the listener, the array can be asked how it is, and taken down.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ MOST_CLIENTS = 200
 MOST_BRIEF = 32  # clients besides, for as long as their requests take
 BRIEF = ("status", "jobs", "cancel", "reset", "down")
 BRIEF_SECONDS = 5.0  # without a request, after which such a client has to go
-WAITING = 512  # that may wait at the door until the service comes to them
+WAITING = 512  # that may wait to be accepted until the service comes to them
 PIECE = 1 << 16  # bytes read at a time
 MOST_UNSENT = LONGEST + (1 << 20)  # bytes that may wait for a client that does not read; then it is cut off
 CROWDED = 1 << 16  # bytes waiting for a client above which it is not told of progress
@@ -47,7 +47,7 @@ REFUSALS = ("user", "token", "greeting", "request", "crowd", "slow")
 class ClientConnection:
     """A client that was let in.
 
-    follows  jobs that it is told of
+    follows  jobs that it follows
     brief    whether it came when all places were taken
     rate     how often a second it wants to be told how each node stands; 0: not at all
     """
@@ -192,9 +192,9 @@ class Listener:
         known = isinstance(token, str) and hmac.compare_digest(token.encode(), self._token.encode())
         return known and greeting.get("do") == "hello" and greeting.get("version") == VERSION
 
-    def _refuse(self, client: ClientConnection, why: str, told: str) -> None:
+    def _refuse(self, client: ClientConnection, why: str, reason: str) -> None:
         self.refused[why] += 1
-        client.send({"is": "error", "why": why, "error": f"the array refused this client: {told}"})
+        client.send({"is": "error", "why": why, "error": f"the array refused this client: {reason}"})
 
     async def _serve(self, client: ClientConnection, splitter: Splitter[Message], reader: asyncio.StreamReader) -> None:
         """Answer requests until the client is gone, or sends what is no message: then nobody knows where the next begins."""

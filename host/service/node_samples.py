@@ -1,4 +1,4 @@
-"""What the kernel says of the nodes' processes: state, processor time, memory. Nothing is asked of the nodes."""
+"""Asks the kernel how the processes of the nodes stand: state, processor time, memory. Nothing is asked of the nodes."""
 
 from __future__ import annotations
 

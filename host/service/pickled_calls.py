@@ -1,4 +1,4 @@
-"""Calls and answers between the service and its scribe: pickles on a stream socket, large arrays beside them uncopied.
+"""Packs calls and answers between the service and its scribe: pickles, with large arrays beside them uncopied.
 
     +-------------------+---------------------------+--------+-------------+
     | count, u64 little | count lengths, u64 each   | pickle | its buffers |

@@ -1,4 +1,4 @@
-"""The process of a service, started by `raygrid up`: its lock, its log, its sockets' directory, and its end."""
+"""Is the process of a service, which `raygrid up` starts: makes lock, log and socket directory, serves, and ends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whose frame is next: by priority first, then clients in turn, the jobs of a client in turn, the frames of a job in order.
+"""Says whose frame is next: by priority first, then clients in turn, the jobs of a client in turn, the frames of a job in order.
 
 So a job of one frame waits for at most one frame of every other client and job of its priority, however long theirs are.
 Nobody waits for ever: a priority that was passed over PASSES times has the next frame. No clock, no disk and no array in

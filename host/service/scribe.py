@@ -1,4 +1,4 @@
-"""The service's side of its scribe: the process that reads scenes, splits space, and writes pictures (`scribe_process`).
+"""Starts, asks and kills the scribe: the process that reads scenes, splits space, and writes pictures (`scribe_process`).
 
 What files and programs of others make a process do cannot be foreseen: a pipe is opened for ever, a loop in compiled code
 or in a library holds the interpreter, a file of a few bytes takes all memory. So none of it is done in the service. A call

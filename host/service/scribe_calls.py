@@ -1,4 +1,4 @@
-"""What a service may ask of its scribe: a class a call, with what it is told and the type of its answer."""
+"""Names what a service may ask of its scribe: a class a call, with its arguments and the type of its answer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The scribe: the process of a service that reads scenes, splits space, looks at what is there, and writes pictures.
+"""Is the scribe: reads scenes, splits space, looks at what is there, and writes pictures for a service.
 
 Whatever touches files, or runs code, of whoever submitted a job is done here, one call after the other, so that the service
 can kill it at any moment (`scribe`). It ends with the service.

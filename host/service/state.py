@@ -1,4 +1,4 @@
-"""How a service stands: what its array does, the frame under way, what was done and what went wrong."""
+"""Holds how a service stands: what its array does, the frame under way, what was done and what went wrong."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The commands that ask an array that stays how it is, or tell it what to do: status, jobs, cancel, reset, down."""
+"""Carries out the commands that ask or order an array that stays: status, jobs, cancel, reset, down."""
 
 from __future__ import annotations
 

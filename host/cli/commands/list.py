@@ -1,4 +1,4 @@
-"""The command `raygrid list`: the arrays that are up, and how each is."""
+"""Carries out `raygrid list`: prints the arrays that are up, and how each is."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command `raygrid probe`: how the nodes of an array stand, live or from a recording."""
+"""Carries out `raygrid probe`: shows how the nodes of an array stand, live or from a recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command `raygrid simulate`."""
+"""Carries out `raygrid simulate`: a frame in machine time, in one process."""
 
 from __future__ import annotations
 
@@ -94,10 +94,10 @@ def _simulate(request: SimulateRequest, reporter: ProgressReporter) -> Simulated
         for output in request.outputs:
             check_side(output, job.frame.width, job.frame.height)
         reporter.phase("simulating")
-        return simulate_job(job, cost, request.search, request.band, tell=told(reporter))
+        return simulate_job(job, cost, request.search, request.band, tell=phase_reporter(reporter))
 
 
-def told(reporter: ProgressReporter) -> Callable[[str, int, int], None]:
+def phase_reporter(reporter: ProgressReporter) -> Callable[[str, int, int], None]:
     """A teller for `simulate_job`: the phase, events so far, and how many a second."""
     from raygrid.emulator.processes import now
 

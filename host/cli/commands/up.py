@@ -1,4 +1,4 @@
-"""The command `raygrid up`: start a service, and tell how its start goes until it is ready."""
+"""Carries out `raygrid up`: starts a service, and says how its start goes until it is ready."""
 
 from __future__ import annotations
 
