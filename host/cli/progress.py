@@ -1,4 +1,4 @@
-"""What the command line says while it works: one live line on a terminal, next to nothing where there is none.
+"""Says how far a command is: one live line on a terminal, next to nothing where there is none.
 
 Where standard error is no terminal, only what a user must not miss is said: remarks on the scene, and the compiling of
 a first run. Standard output has the names of the files written and nothing else.

@@ -16,9 +16,10 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Self, Unpack
+from typing import Any, Self, Unpack, cast
 
-from raygrid.host.client.connection import ANSWER_SECONDS, ENDED, Connection
+from raygrid.host.client.connection import ANSWER_SECONDS, Connection
+from raygrid.host.client.facts import ENDED, JobFacts, StatusFacts
 from raygrid.host.client.protocol import Message, shown
 from raygrid.host.client.service_files import DEFAULT_NAME, ServiceRecord, find
 from raygrid.host.client.submission import Name, Submission, plain
@@ -28,7 +29,7 @@ from raygrid.node.errors import ArrayError
 
 RESET_SECONDS = 150.0
 
-Watch = Callable[[dict[str, Any]], None]
+Watch = Callable[[Message], None]
 
 
 @dataclass(frozen=True)
@@ -157,9 +158,9 @@ class Service:
         answer = self._connection.ask({"do": "cancel", "jobs": plain(jobs)})
         return list(answer["jobs"])
 
-    def jobs(self, ended: int = 10) -> list[dict[str, Any]]:
+    def jobs(self, ended: int = 10) -> list[JobFacts]:
         """The last `ended` jobs that have ended, and all that have not, each oldest first."""
-        found: dict[int, dict[str, Any]] = {}
+        found: dict[int, JobFacts] = {}
         left, last = 1, 0
         while left > 0:  # there may be more than a message has room for
             answer = self._connection.ask({"do": "jobs", "ended": ended, "after": last})
@@ -167,10 +168,10 @@ class Service:
             left, last = answer["left"], max(found, default=0)
         return sorted(found.values(), key=lambda facts: (facts["state"] not in ENDED, facts["job"]))
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> StatusFacts:
         """How the array is: nodes, load, queue, frames, faults (docs/service.md)."""
         answer = self._connection.ask({"do": "status"})
-        return {key: value for key, value in answer.items() if key != "is"}
+        return cast(StatusFacts, {key: value for key, value in answer.items() if key != "is"})
 
     def reset(self) -> list[int]:
         """Empty the array and begin the running frame again; returns the process ids of the nodes."""

@@ -12,6 +12,7 @@ import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from raygrid.host.client.facts import ENDED
 from raygrid.host.files.input_guard import Inputs, check_outputs
 from raygrid.host.image.frames import FrameNames
 from raygrid.host.image.moving_pictures import Reel, check_played, padding
@@ -114,8 +115,6 @@ class JobFiles(FrameFiles):
 
 def sweep_films(folder: Path, journal: Journal) -> None:
     """Remove the frames that wait for jobs which have ended. Never raises OSError nor OutputError."""
-    from raygrid.host.journal.journal import ENDED
-
     with contextlib.suppress(OSError, RaygridError):
         for name in os.listdir(folder):
             row = journal.find(int(name)) if name.isdecimal() else None

@@ -26,6 +26,8 @@ from .frame_tables import TRANSMISSION as TRANSMISSION
 from .frame_tables import Frame as Frame
 from .frame_tables import light_table as light_table
 from .frame_tables import material_table as material_table
+from .framing import Splitter as Splitter
+from .framing import framed as framed
 from .messages import HEAD as HEAD
 from .messages import MessageKind as MessageKind
 from .messages import check_packets as check_packets

@@ -1,4 +1,4 @@
-"""The command `raygrid law`."""
+"""Carries out `raygrid law`: sweeps arrays and pictures, fits the law, writes the report."""
 
 from __future__ import annotations
 

@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from raygrid.host.cli.progress import PHASES, ProgressReporter
-from raygrid.host.client.connection import ENDED, Connection, EventListener
+from raygrid.host.client.connection import Connection, EventListener
+from raygrid.host.client.facts import ENDED
 from raygrid.host.client.service_files import find
 from raygrid.host.client.submission import Submission, absolute
 from raygrid.host.files.input_guard import STANDARD, check_outputs, note

@@ -16,7 +16,7 @@ from support.processes import no_leftovers, wait_dead, wait_readable
 
 from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.emulator.processes.array import Array
-from raygrid.emulator.topology.socket_directory import process_state
+from raygrid.emulator.topology.process_stat import process_state
 from raygrid.emulator.topology.topology import indices
 from raygrid.host.render.frame import render_job
 from raygrid.host.render.job import Job, Settings, make_job

@@ -14,8 +14,6 @@ from raygrid.host.cli.group_inspect import PixelType
 from raygrid.host.cli.group_service import ArrayNameType
 from raygrid.host.cli.main import cli
 from raygrid.host.cli.types import (
-    MOST_PIXELS,
-    MOST_SIDE,
     EdgesType,
     FaultType,
     FileName,
@@ -23,7 +21,6 @@ from raygrid.host.cli.types import (
     PairType,
     ShapeType,
 )
-from raygrid.host.render.machine_job import MAX_PIXELS, MAX_SIDE
 
 TINY, MOBILE, RINGS = (str(SCENES / name) for name in ("tiny.nff", "mobile.toml", "rings.toml"))
 TORUS = str(SCENES / "programs" / "torus.py")
@@ -92,10 +89,6 @@ def test_no_option_takes_what_it_cannot_be(command, option):
     timed = ["--timed"] * (command == "render" and option in ("--cost", "--search"))
     for value in values:
         misused(here(*arguments(command), *timed, option, value), command, ".*(came|is not one of|cannot|wanted).*")
-
-
-def test_the_command_line_knows_the_largest_picture():
-    assert (MOST_SIDE, MOST_PIXELS) == (MAX_SIDE, MAX_PIXELS)
 
 
 TOGETHER = [  # command, arguments after it, what is said of them
