@@ -25,7 +25,7 @@ import hashlib
 import os
 import secrets
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -63,10 +63,10 @@ class Program(NamedTuple):
 
 
 class Compiled(NamedTuple):
-    """A program in the ray step: functions that take the place of `rounds.go` and `misses.add_missed`."""
+    """A program in the ray step: functions that take the place of `event_loop.run_loop` and `background.add_missed`."""
 
     program: Program
-    go: Callable[..., Any]
+    run_loop: Callable[..., Any]
     add_missed: Callable[..., Any]
 
 
@@ -119,7 +119,7 @@ def program_order(program: Program | None) -> dict[str, Any]:
     return {"do": "program", "name": program.name, "source": program.source, "digest": program.digest}
 
 
-def read_program(order: dict[str, Any]) -> Program | None:
+def read_program(order: Mapping[str, object]) -> Program | None:
     """The program of an order. Raises ProtocolError for a wrong digest or form."""
     name, source, digest = order.get("name"), order.get("source"), order.get("digest")
     if not (isinstance(name, str) and isinstance(source, str) and isinstance(digest, str) and len(name) <= 200):

@@ -1,7 +1,10 @@
-"""Maps that travel as msgpack: orders on links, words on lines, messages of clients. What comes in is not trusted (law 11)."""
+"""Packs and reads maps that travel as msgpack: orders on links, messages on control channels and of clients. What comes in
+is not trusted (law 11).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import msgpack
@@ -29,7 +32,7 @@ class MapLimits(NamedTuple):
 LIMITS = MapLimits()
 
 
-def pack_map(value: dict[str, Any]) -> bytes:
+def pack_map(value: Mapping[str, object]) -> bytes:
     """A map as bytes."""
     packed: bytes = msgpack.packb(value, use_bin_type=True)
     return packed

@@ -15,7 +15,7 @@ from raygrid.emulator.processes.control_channels import ControlChannels
 from raygrid.node.errors import ProtocolError
 from raygrid.node.links.control_channel import LONGEST_CONTROL_MESSAGE, ControlChannel
 from raygrid.node.protocol.codec import DEEPEST
-from raygrid.node.protocol.reset import LAST_EPOCH, read_reset
+from raygrid.node.protocol.reset import LAST_EPOCH, LinkConfig, NodeConfig, read_reset
 
 
 @pytest.fixture
@@ -155,13 +155,14 @@ def test_descriptors_come_with_the_messages_that_bring_them():
 
 # --- the reset order ------------------------------------------------------------------------------
 
-CONFIG = {"index": (0, 0, 0), "epoch": 3, "machine": "old", "batch": 5, "links": ({"port": 1}, {"port": 6})}
+CONFIG = NodeConfig((0, 0, 0), (2, 1, 1), 3, "old", (LinkConfig(1, "", True), LinkConfig(6, "", False)), 5)
 LINKS = [{"port": 6, "endpoint": "ipc:///a/4-h", "bind": False}, {"port": 1, "endpoint": "ipc:///a/4-x", "bind": True}]
 ORDER = {"do": "reset", "epoch": 4, "machine": "new", "links": LINKS}
 
 
 def test_a_reset_order_gives_the_next_config():
-    assert read_reset(ORDER, CONFIG) == {**CONFIG, "epoch": 4, "machine": "new", "links": LINKS}
+    links = tuple(LinkConfig(**link) for link in LINKS)
+    assert read_reset(ORDER, CONFIG) == NodeConfig((0, 0, 0), (2, 1, 1), 4, "new", links, 5)
 
 
 @pytest.mark.parametrize(
