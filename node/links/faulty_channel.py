@@ -16,7 +16,7 @@ import random
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from raygrid.node.links.link import Channel
@@ -63,7 +63,7 @@ class FaultyChannel:
         inner: Channel,
         plan: FaultPlan,
         key: Iterable[int],
-        tell: Callable[[dict[str, Any]], object] = lambda words: None,
+        tell: Callable[[dict[str, object]], object] = lambda message: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.inner, self._plan, self._tell, self._clock = inner, plan, tell, clock

@@ -1,4 +1,4 @@
-"""The C functions of ZeroMQ that links need, and of a checksum, for calls from compiled code by their addresses.
+"""Finds the C functions of ZeroMQ that links need, and of a checksum, for calls from compiled code by their addresses.
 
 An address is a number handed in when a kernel is called, so that compiled code stays good for other processes and
 can be kept on disk. Who has no such functions (another build of pyzmq or xxhash) gets no addresses, and the links are

@@ -1,4 +1,4 @@
-"""Programs: code that is loaded into the nodes, and becomes part of their ray step. `docs/programs.md` is for users.
+"""Compiles programs: code that is loaded into the nodes, and becomes part of their ray step. `docs/programs.md` is for users.
 
 A program is the text of a module with some of these functions, and whatever they call:
 
@@ -210,10 +210,10 @@ def _linked(program: Program, file: Path) -> Compiled:
     step = _again(
         program, "tracing.step", taken | {name: traverse[name] for name in ("closest_below", "blocked_below")}
     )
-    misses = _again(program, "tracing.background", {"edge_colour": into["edge_colour"]})
-    turn = _again(program, "tracing.batch", {"step": step["step"]})
-    rounds = _again(program, "runtime.event_loop", {"run_batch": turn["run_batch"]})
-    return Compiled(program, rounds["run_loop"], misses["add_missed"])
+    background = _again(program, "tracing.background", {"edge_colour": into["edge_colour"]})
+    batch = _again(program, "tracing.batch", {"step": step["step"]})
+    event_loop = _again(program, "runtime.event_loop", {"run_batch": batch["run_batch"]})
+    return Compiled(program, event_loop["run_loop"], background["add_missed"])
 
 
 def _again(program: Program, name: str, instead: dict[str, Any]) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What travels on a link: a 20-byte header, then 25-byte packets, surface descriptions, or an order.
+"""Packs and reads what travels on a link: a 20-byte header, then 25-byte packets, surface descriptions, or an order.
 
     header   kind u8, zero u8, epoch u16, sequence u32, credit u32, count u32, checksum u32      (little-endian)
 

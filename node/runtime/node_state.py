@@ -12,6 +12,7 @@ from raygrid.node.geometry.bvh_refit import WORSE, expected_cost
 from raygrid.node.geometry.grid_walk import HOST, OUTPUTS, SELF_RAYS
 from raygrid.node.geometry.lattice import Cell, Space, make_cell
 from raygrid.node.geometry.overlap import meets
+from raygrid.node.geometry.spanning_tree import towards_corner
 from raygrid.node.geometry.surfaces import AddedKind, Batch, SurfaceSet, merge
 from raygrid.node.programs.programs import Compiled
 from raygrid.node.protocol.commands import USUAL_FLUSH
@@ -208,7 +209,7 @@ class NodeState:
     def _send_pixels(self) -> None:
         """Fill the output towards the nearest corner with pixel packets."""
         assert self.frame is not None and self.cell is not None
-        output = corner_output(self.index, self.shape)
+        output = towards_corner(self.index, self.shape)
         held = int(self.outputs.held[output])
         room = (self.outputs.data.shape[1] - HEAD) // SIZE - held
         made, cursor = send_pixels(
@@ -239,17 +240,6 @@ class NodeState:
             "backlog": self.work_queues.size,
             "outputs": self.outputs.data.nbytes,
         }
-
-
-def corner_output(index: tuple[int, int, int], shape: tuple[int, int, int]) -> int:
-    """The output on the way to the nearest corner (lower one on a tie), HOST at the corner."""
-    for axis in range(3):
-        near_low = 2 * index[axis] <= shape[axis] - 1
-        if near_low and index[axis] > 0:
-            return 2 * axis
-        if not near_low and index[axis] < shape[axis] - 1:
-            return 2 * axis + 1
-    return HOST
 
 
 assert OUTPUTS == SELF_RAYS + 1

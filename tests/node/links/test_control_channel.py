@@ -70,7 +70,7 @@ def test_maps_that_are_too_deep_or_too_long_are_refused(ends):
     host._socket.send(msgpack.packb({"x": bytes(LONGEST_CONTROL_MESSAGE)}))
     assert node.receive() is None
     assert node.refused == 2
-    with pytest.raises(ProtocolError, match=f"words for a line have {LONGEST_CONTROL_MESSAGE + 8} bytes"):
+    with pytest.raises(ProtocolError, match=f"a control message has {LONGEST_CONTROL_MESSAGE + 8} bytes"):
         host.send({"x": bytes(LONGEST_CONTROL_MESSAGE)})
 
 
@@ -92,7 +92,7 @@ def test_descriptors_that_come_along_are_not_taken(ends):
     assert open_descriptors() == before
 
 
-def test_all_lines_are_heard_at_once():
+def test_all_channels_are_read_at_once():
     lines = ControlChannels()
     others = {}
     for number in range(4):
