@@ -112,7 +112,7 @@ def make_program(name: str, source: str) -> Program:
     return Program(name, source, hooks, digest_of(source))
 
 
-def program_order(program: Program | None) -> dict[str, Any]:
+def program_order(program: Program | None) -> dict[str, str]:
     """The order that lets every node make a program ready; of None, the step without one."""
     if program is None:
         return {"do": "program", "name": "", "source": "", "digest": ""}
@@ -265,7 +265,7 @@ def try_functions(program: Program) -> None:
         raise ProtocolError(f"the program {program.name} raises in {name}: {type(error).__name__}: {error}") from None
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> bool:
     return isinstance(value, int | float | np.floating | np.integer) and not (
         isinstance(value, int) and abs(value) > 2**53
     )

@@ -62,7 +62,7 @@ def read_map(data: bytes | bytearray | memoryview, what: str, limits: MapLimits 
     return value
 
 
-def _check_tree(value: dict[str, Any] | list[Any], deeper: int, limits: MapLimits, what: str) -> None:
+def _check_tree(value: dict[str, object] | list[object], deeper: int, limits: MapLimits, what: str) -> None:
     """Raise ProtocolError for keys that are no strings, and for lists and maps nested too deep to be handed on."""
     if deeper == 0:
         raise ProtocolError(f"{what} came with lists and maps deeper than {limits.deepest}")

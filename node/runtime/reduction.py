@@ -218,7 +218,8 @@ def read_reply(message: bytes) -> tuple[int, Long]:
 @part
 def read_field(raw: NDArray[np.uint8], place: int) -> int:
     """A field of a message, int64."""
-    return read_u64(raw, HEAD + place * FIELD_BYTES)  # type: ignore[no-any-return]
+    value: int = read_u64(raw, HEAD + place * FIELD_BYTES)
+    return value
 
 
 @part

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -58,7 +58,7 @@ class WaveReply:
     nodes: list[NodeRecord] = field(default_factory=list)
     refusals: list[str] = field(default_factory=list)
 
-    def as_map(self, wave: object) -> dict[str, Any]:
+    def as_map(self, wave: object) -> dict[str, object]:
         """As it travels. wave: the number of the wave, as it came."""
         sums = self.sums.astype("<i8").tobytes()
         return {"sums": sums, "nodes": self.nodes, "refusals": self.refusals, "wave": wave}
