@@ -47,6 +47,7 @@ from raygrid.node.main import open_links
 from raygrid.node.protocol.frame_tables import frame_limits
 from raygrid.node.protocol.messages import CHECKSUM_FIELD, SUMMED, MessageKind, pack_message
 from raygrid.node.protocol.packets import SIZE, first_fault
+from raygrid.node.protocol.reset import NodeConfig
 from raygrid.node.runtime.processor import Processor
 
 SHAPE = (2, 2, 2)
@@ -85,7 +86,7 @@ class HostileArray(Array):
         assert self._context is not None
         for link in config["links"]:
             self._own[link["port"]] = ZmqChannel(self._context, link["endpoint"], link["bind"])
-        self.node = Processor(PLACE, SHAPE, open_links(config, self._own), self.batch)
+        self.node = Processor(PLACE, SHAPE, open_links(NodeConfig.of(config), self._own), self.batch)
 
     def hang_up_own(self) -> None:
         """Close the hostile node's links."""

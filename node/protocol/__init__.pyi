@@ -1,6 +1,9 @@
 from .codec import MapLimits as MapLimits
 from .codec import read_map as read_map
 from .commands import MAX_SIDE as MAX_SIDE
+from .commands import CommandMap as CommandMap
+from .commands import CommandName as CommandName
+from .commands import TraceCommand as TraceCommand
 from .commands import frame_order as frame_order
 from .commands import space_order as space_order
 from .counters import BORN as BORN
@@ -54,6 +57,7 @@ from .packets import read_u24 as read_u24
 from .packets import read_u32 as read_u32
 from .packets import unit_vector as unit_vector
 from .packets import unpack_weight as unpack_weight
+from .reset import NodeConfig as NodeConfig
 from .timestamps import NEVER_TICK as NEVER_TICK
 from .timestamps import Prices as Prices
 from .timestamps import prices_order as prices_order

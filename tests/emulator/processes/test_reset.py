@@ -271,10 +271,9 @@ def test_messages_of_an_older_epoch_are_counted_and_dropped(array):
 def _order_of(link, order) -> bytes:
     sent = []
     channel, link.channel = link.channel, type("Taken", (), {"send": lambda self, raw: sent.append(raw) or True})()
-    link_state = link._link_state.tolist()
+    before = link._counted.numbers()
     link.send_order(MessageKind.DOWN, order)
-    for place, number in enumerate(link_state):
-        link._link_state[place] = number
+    link._counted.take(type(link._counted)(*before))
     link.channel = channel
     return sent[0]
 

@@ -21,7 +21,15 @@ from raygrid.host.render.retry import RECOVERABLE
 from raygrid.host.render.session import RenderSession
 from raygrid.host.scene.load import load_scene
 from raygrid.node.errors import ProtocolError
-from raygrid.node.links.faulty_channel import DELAY, FAULT_KINDS, TICK_MS, FaultPlan, FaultyChannel, parse_fault, tend
+from raygrid.node.links.faulty_channel import (
+    DELAY,
+    FAULT_KINDS,
+    TICK_MS,
+    FaultPlan,
+    FaultyChannel,
+    parse_fault,
+    send_delayed,
+)
 from raygrid.node.links.link import Link, LinkPhase
 from raygrid.node.links.memory_channel import memory_channels
 from raygrid.node.protocol.messages import MessageKind
@@ -86,10 +94,10 @@ def test_delay_is_a_delay():
     clock = Clock()
     channel = FaultyChannel(one, FaultPlan("delay", 1.0), (0,), clock=clock)
     assert channel.send(b"a")
-    assert tend([channel], None) == TICK_MS
+    assert send_delayed([channel], None) == TICK_MS
     assert other.receive() is None
     clock.now += DELAY
-    assert tend([channel], 3) == 3
+    assert send_delayed([channel], 3) == 3
     assert other.receive() == b"a"
 
 

@@ -46,7 +46,7 @@ def test_status_says_so(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("broken", "why"),
     [
-        ("zmq_c_api._FROM_ZEROMQ = {0: 'zmq_no_such_function'}", "zmq_no_such_function"),
+        ("zmq_c_api._FROM_ZEROMQ = {'send': 'zmq_no_such_function'}", "zmq_no_such_function"),
         ("zmq_c_api._CHECKSUMS = ('XXH_no_such_function',)", "no checksum of xxhash"),
         (
             "zmq_c_api._library_of = lambda module: zmq_c_api.importlib.import_module('no_such_module')",
