@@ -24,8 +24,9 @@ from raygrid.host.image.frames import LAST_FRAME, MOST_FRAMES, check_job
 from raygrid.node.errors import OutputError, ProtocolError
 
 LONGEST_PATH = 4096
-# Bounds of others (`host.render.machine_job`, `host.scene.animation.animation`, `node.protocol.commands`, `node.protocol.packets`, `node.runtime.probe`), as numbers: this module stays light,
-# and tests/host/client/test_requests.py holds them to be the same.
+# Bounds of others (`host.render.machine_job`, `host.scene.animation.animation`, `node.protocol.commands`,
+# `node.protocol.packets`, `node.runtime.probe`), as numbers: this module stays light, and
+# tests/host/client/test_requests.py holds them to be the same.
 MAX_FRAMES = 1_000_000  # of a turntable
 MAX_SIDE = 65_536
 MAX_PIXELS = 1 << 28
