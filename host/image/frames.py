@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -74,7 +74,7 @@ def is_played(pattern: str, shot: bool) -> bool:
     return not has_number(pattern) and (suffix in ONLY_PLAYED or (shot and suffix in PLAYED))
 
 
-def wants_shot(frames: Ends | None, turns: bool, outputs: Iterable[str], stats: str | None = None) -> bool:
+def wants_shot(frames: Ends | None, turns: bool, outputs: Sequence[str], stats: str | None = None) -> bool:
     """Whether frames of a shot are asked for, and not a picture of the scene as it stands.
 
     frames    what was asked for by number, or None; `turns`: by a turntable
@@ -83,18 +83,17 @@ def wants_shot(frames: Ends | None, turns: bool, outputs: Iterable[str], stats: 
     return frames is not None or turns or _asks_for_shot(outputs, stats) is not None
 
 
-def _asks_for_shot(outputs: Iterable[str], stats: str | None) -> str | None:
+def _asks_for_shot(outputs: Sequence[str], stats: str | None) -> str | None:
     """The first of the patterns that is one of several frames, None if there is none. Raises OutputError."""
     patterns = (*outputs, *([] if stats is None else [stats]))
     return next((name for name in patterns if has_number(name) or is_played(name, False)), None)
 
 
-def check_patterns(outputs: Iterable[str], stats: str | None, frames: Ends | None, shot: bool) -> None:
+def check_patterns(outputs: Sequence[str], stats: str | None, frames: Ends | None, shot: bool) -> None:
     """Raise OutputError if the files of several frames would have one name, or a name says not what it is.
 
     frames  first and last, or None: all of a shot, whose length is not known yet
     """
-    outputs = list(outputs)
     for pattern in (*outputs, *([] if stats is None else [stats])):
         if _places(pattern) > 1:
             raise OutputMisuse(
@@ -112,9 +111,8 @@ def check_patterns(outputs: Iterable[str], stats: str | None, frames: Ends | Non
         raise OutputMisuse(f"{stats}: statistics of several frames came, wanted a number such as %04d in the name")
 
 
-def check_job(outputs: Iterable[str], stats: str | None, frames: Ends | None) -> None:
+def check_job(outputs: Sequence[str], stats: str | None, frames: Ends | None) -> None:
     """Raise OutputError for names of files that a job cannot have. `frames`: those that it names, or None."""
-    outputs = list(outputs)
     if frames is None and (name := _asks_for_shot(outputs, stats)) is not None:
         raise OutputMisuse(
             f"{name}: the output is one of several frames and none were named, wanted frames such as 1-48"
@@ -136,17 +134,15 @@ class FrameNames:
     stats: str | None
 
     @classmethod
-    def split(cls, outputs: Iterable[str], stats: str | None, shot: bool) -> FrameNames:
+    def split(cls, outputs: Sequence[str], stats: str | None, shot: bool) -> FrameNames:
         """The patterns told apart; `shot`: whether frames of a shot are asked for. Raises OutputError."""
-        outputs = list(outputs)
         played = [pattern for pattern in outputs if is_played(pattern, shot)]
         single = tuple(pattern for pattern in outputs if pattern not in played)
         return cls(single, tuple(path_of(pattern, None) for pattern in played), stats)
 
     @classmethod
-    def checked(cls, outputs: Iterable[str], stats: str | None, frames: Ends | None, shot: bool) -> FrameNames:
+    def checked(cls, outputs: Sequence[str], stats: str | None, frames: Ends | None, shot: bool) -> FrameNames:
         """As `split`, of what was asked for. Raises OutputError as `check_patterns` does."""
-        outputs = list(outputs)
         check_patterns(outputs, stats, frames, shot)
         return cls.split(outputs, stats, shot)
 
