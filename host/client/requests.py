@@ -24,7 +24,7 @@ from raygrid.host.image.frames import LAST_FRAME, MOST_FRAMES, check_job
 from raygrid.node.errors import OutputError, ProtocolError
 
 LONGEST_PATH = 4096
-# Bounds of others (`host.render.job`, `host.scene.animation.animation`, `node.protocol.commands`, `node.protocol.packets`, `node.runtime.probe`), as numbers: this module stays light,
+# Bounds of others (`host.render.job`, `host.scene.pose`, `node.protocol.commands`, `node.protocol.packets`, `node.runtime.probe`), as numbers: this module stays light,
 # and tests/host/client/test_requests.py holds them to be the same.
 MAX_FRAMES = 1_000_000  # of a turntable
 MAX_SIDE = 65_536

@@ -20,7 +20,7 @@ from raygrid.host.export.povray_surfaces import MaterialWriter, surface_lines, v
 from raygrid.host.files.input_guard import check_outputs, note, noted
 from raygrid.host.image.outputs import check_path, write_whole
 from raygrid.host.render.job import DEFAULT_DEPTH, DEFAULT_SIZE
-from raygrid.host.scene.animation.animation import frame_told, still
+from raygrid.host.scene.animation.scene_frames import frame_told, still
 from raygrid.host.scene.cameras import Camera, Span
 from raygrid.host.scene.load import load_scene
 from raygrid.host.scene.scene import Scene

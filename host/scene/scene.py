@@ -7,17 +7,15 @@ about arrays of processors: coordinates are the scene's own, and data is float64
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.host.scene.cameras import Camera
+from raygrid.host.scene.pose import Animation
 from raygrid.node.geometry import SURFACE_KINDS, SurfaceSet
 from raygrid.node.protocol import DIRECTIONAL
-
-if TYPE_CHECKING:
-    from raygrid.host.scene.animation.animation import Animation
 
 Colour = tuple[float, float, float]
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry import F64
+from raygrid.node.geometry import F64, slerp
 
 WAYS = ("linear", "smooth", "step")
 
@@ -90,16 +90,3 @@ def make_keyframes(frames: ArrayLike, values: ArrayLike, way: str = "linear", tu
             f"key {key + 1} is at {at[key + 1]:g}, after one at {at[key]:g}: wanted keys in ascending order"
         )
     return Keyframes(at, rows, way, turns)
-
-
-def slerp(one: F64, other: F64, part: float) -> F64:
-    """The unit quaternion a part of the way from one to another, at even speed, the short way."""
-    cosine = float(np.sum(one * other))
-    if cosine < 0.0:
-        other, cosine = -other, -cosine
-    if cosine > 1.0 - 1e-9:
-        mixed = one + (other - one) * part
-    else:
-        angle = np.arccos(min(cosine, 1.0))
-        mixed = (np.sin((1.0 - part) * angle) * one + np.sin(part * angle) * other) / np.sin(angle)
-    return np.asarray(mixed / np.sqrt(np.sum(mixed * mixed)))

@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from raygrid.host.scene.animation.animation import MAX_FRAMES, Animation, Pose, about, motion, moved_point, turned
+from raygrid.host.scene.animation.motions import about, motion, moved_point, turned
 from raygrid.host.scene.cameras import Camera, Vector
 from raygrid.host.scene.lights import exposure_point
+from raygrid.host.scene.pose import MAX_FRAMES, Animation, Pose
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import SceneError
 from raygrid.node.geometry import F64, at_rest, make_groups

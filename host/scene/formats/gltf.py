@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.host.scene.animation.animation import Animation
 from raygrid.host.scene.builder import MAX_COORDINATE, SceneBuilder, plural, shown
 from raygrid.host.scene.cameras import Camera, look_at_everything, orthographic_camera, perspective_camera
 from raygrid.host.scene.finish import finish_scene
@@ -38,10 +37,11 @@ from raygrid.host.scene.lights import (
     point_light,
     spot_light,
 )
+from raygrid.host.scene.pose import Animation
 from raygrid.host.scene.scene import Scene
 from raygrid.host.scene.textures import Bytes, as_bytes, bake
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry import F64, Kind, make_groups
+from raygrid.node.geometry import F64, Kind, make_groups, rotation_matrices, unit_quaternions
 
 Ints = NDArray[np.int64]
 
@@ -266,17 +266,11 @@ def node_matrix(row: dict[str, Any]) -> F64:
         matrix = np.array(row["matrix"], np.float64).reshape(4, 4).T
     else:
         x, y, z, w = np.array(row.get("rotation", (0, 0, 0, 1)), np.float64).tolist()
-        norm = math.sqrt(x * x + y * y + z * z + w * w) or 1.0
-        x, y, z, w = x / norm, y / norm, z / norm, w / norm
-        turn = np.array(
-            (
-                (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
-                (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
-                (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
-            )
-        )
+        x, y, z, w = unit_quaternions(np.array((x, y, z, w)))
         matrix = np.eye(4)
-        matrix[:3, :3] = turn * np.array(row.get("scale", (1, 1, 1)), np.float64)
+        matrix[:3, :3] = rotation_matrices(np.array([(w, x, y, z)]))[0] * np.array(
+            row.get("scale", (1, 1, 1)), np.float64
+        )
         matrix[:3, 3] = row.get("translation", (0, 0, 0))
     return matrix
 

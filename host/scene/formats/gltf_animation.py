@@ -14,14 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from raygrid.host.scene.animation.animation import FPS, MAX_FRAMES, Pose, motion
 from raygrid.host.scene.animation.keyframes import Keyframes, make_keyframes
+from raygrid.host.scene.animation.motions import motion
 from raygrid.host.scene.cameras import Camera
 from raygrid.host.scene.formats.gltf_document import Document
 from raygrid.host.scene.lights import Table, light_table
+from raygrid.host.scene.pose import FPS, MAX_FRAMES, Pose
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry import F64, at_rest
+from raygrid.node.geometry import F64, at_rest, quaternion_of_matrix, unit_quaternions
 
 WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 UNEVEN = 1e-4  # how far a motion may be from turning and even scaling, as a part of its scale: files hold binary32
@@ -89,7 +90,7 @@ def _track(document: Document, sampler: dict[str, Any], path: str, where: str) -
             return Spline(times, values.reshape(len(times), 3, -1)), float(times[-1])
         if path == "rotation":
             length = np.linalg.norm(values, axis=1, keepdims=True)
-            values = np.where(length > 0.0, values / np.where(length > 0.0, length, 1.0), (0.0, 0.0, 0.0, 1.0))
+            values = np.where(length > 0.0, unit_quaternions(values), (0.0, 0.0, 0.0, 1.0))
         step = "step" if way == "STEP" else "linear"
         return make_keyframes(times, values, step, turns=path == "rotation"), float(times[-1])
     except SceneError as error:
@@ -168,24 +169,7 @@ class GltfAnimation:
         turn = by[:3, :3] / scale
         if np.abs(turn.T @ turn - np.eye(3)).max() > UNEVEN:
             raise SceneError(f"{part.name} is scaled unevenly by its animation, wanted the same along all axes")
-        return motion(_quaternion(turn), scale, by[:3, 3])
-
-
-def _quaternion(turn: F64) -> F64:
-    """The unit quaternion of a rotation matrix, from the largest of its parts."""
-    trace = turn[0, 0] + turn[1, 1] + turn[2, 2]
-    squares = np.array([trace, turn[0, 0], turn[1, 1], turn[2, 2]])
-    k = int(np.argmax(squares))
-    if k == 0:
-        found = np.array([1.0 + trace, turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-    else:
-        i, j, m = k - 1, k % 3, (k + 1) % 3
-        found = np.zeros(4)
-        found[0] = turn[m, j] - turn[j, m]
-        found[1 + i] = 1.0 + turn[i, i] - turn[j, j] - turn[m, m]
-        found[1 + j] = turn[j, i] + turn[i, j]
-        found[1 + m] = turn[m, i] + turn[i, m]
-    return np.asarray(found / np.sqrt(np.sum(found * found)))
+        return motion(quaternion_of_matrix(turn), scale, by[:3, 3])
 
 
 def part_names(paths: Sequence[tuple[int, dict[str, Any]]]) -> str:

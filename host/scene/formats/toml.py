@@ -17,21 +17,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.host.files.toml_reader import read_toml
-from raygrid.host.scene.animation.animation import Animation, quaternion
-from raygrid.host.scene.animation.scene_animation import SceneAnimation, keyed
 from raygrid.host.scene.builder import SceneBuilder, material, shown
 from raygrid.host.scene.cameras import DEFAULT_FOV, Camera, orthographic_camera, perspective_camera
 from raygrid.host.scene.file_access import read_bytes
 from raygrid.host.scene.finish import NO_CAMERA, NO_LIGHT, UNLIT, finish_scene
 from raygrid.host.scene.formats import toml_schema as schema
 from raygrid.host.scene.formats.mtl import GREY
+from raygrid.host.scene.formats.toml_animation import SceneAnimation, keyed
 from raygrid.host.scene.formats.toml_errors import Key, checked, located, shown_key
 from raygrid.host.scene.lights import Table, directional_light, light_table, point_light, spot_light
 from raygrid.host.scene.load import load_scene
+from raygrid.host.scene.pose import Animation
 from raygrid.host.scene.scene import Scene
 from raygrid.host.scene.transform import moved, placement
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry import F64, NUMBERS, AddedKind, Groups, Kind, make_groups
+from raygrid.node.geometry import F64, NUMBERS, AddedKind, Groups, Kind, make_groups, quaternion_of_angles
 from raygrid.node.protocol import RULE_COLUMNS
 
 SOFT_EDGE = 0.8  # a spot's full light reaches this part of the way to its rim unless the file says otherwise
@@ -205,7 +205,7 @@ class _TomlReader:
             self.builder.add(Kind.SPHERE, np.array([[*surface.centre, surface.radius]]), number)
         elif isinstance(surface, schema.ProgramSurface):
             numbers = [*surface.numbers, *[0.0] * (NUMBERS - len(surface.numbers))]
-            row = [*quaternion(surface.rotate), surface.scale, *surface.centre, *surface.half, *numbers]
+            row = [*quaternion_of_angles(surface.rotate), surface.scale, *surface.centre, *surface.half, *numbers]
             self.builder.add(AddedKind.PROGRAMMED, np.array([row]), number)
         elif isinstance(surface, schema.Triangle):
             corners = np.array([*surface.points, *(surface.normals or ())])

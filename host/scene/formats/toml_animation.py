@@ -8,14 +8,15 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from raygrid.host.scene.animation.animation import Pose, about, after, motion, quaternion
 from raygrid.host.scene.animation.keyframes import Keyframes, make_keyframes
+from raygrid.host.scene.animation.motions import about, after, motion
 from raygrid.host.scene.cameras import Camera
 from raygrid.host.scene.formats import toml_schema as schema
 from raygrid.host.scene.lights import Table, light_table
+from raygrid.host.scene.pose import Pose
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry import F64, at_rest
+from raygrid.node.geometry import F64, at_rest, quaternion_of_angles
 
 Model = TypeVar("Model", bound=schema.FileTable)
 
@@ -92,7 +93,7 @@ class SceneAnimation:
         found = known[group]
         if found is None:
             m = self.groups[group].at(frame)
-            own = about(self.pivots[group], quaternion(m.rotate), m.scale)
+            own = about(self.pivots[group], quaternion_of_angles(m.rotate), m.scale)
             found = after(motion(shift=m.translate), own)
             if self.parents[group] >= 0:
                 found = after(self._motion(self.parents[group], frame, known), found)
