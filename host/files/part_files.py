@@ -45,6 +45,18 @@ def part_file(folder: str, suffix: str = "") -> Iterator[tuple[str, BinaryIO]]:
         os.close(descriptor)
 
 
+@contextlib.contextmanager
+def whole_file(path: str, suffix: str = "") -> Iterator[tuple[str, BinaryIO]]:
+    """Write a file that appears at `path` when the block ends, whole, or not at all if it fails. Raises OSError.
+
+    Yields the path under which it is written, which ends in `suffix`, and the open file.
+    """
+    with part_file(os.path.dirname(path), suffix) as (part, file):
+        yield part, file
+        file.close()  # only now all errors of the disk are known
+        os.replace(part, path)
+
+
 def sweep_folders() -> None:
     """Remove the temporary directories that dead processes left."""
     _sweep_once(tempfile.gettempdir(), DIRECTORY_NAME, stat.S_ISDIR)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import tomllib
-from typing import Any
 
 from raygrid.host.text.clean_text import printable, unreadable
 
@@ -16,7 +15,7 @@ MORE = rf"(?:[ \t]*+\.[ \t]*+{WORD})"
 RUN, DOTTED = re.compile(f"{WORD}{MORE}*+"), re.compile(f"{WORD}{MORE}{{{MOST_PARTS}}}")
 
 
-def read_toml(data: bytes) -> tuple[str, dict[str, Any]]:
+def read_toml(data: bytes) -> tuple[str, dict[str, object]]:
     """The text and its tables. Raises ValueError, saying what is wrong."""
     if len(data) > LARGEST_TEXT:
         raise ValueError(f"it has {len(data):,} bytes, wanted at most {LARGEST_TEXT:,}")

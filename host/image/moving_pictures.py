@@ -12,16 +12,17 @@ import shutil
 import subprocess
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 from raygrid.host.files.input_guard import check_kept
-from raygrid.host.files.part_files import PartFolder, part_file
+from raygrid.host.files.part_files import PartFolder, whole_file
 from raygrid.host.image.outputs import check_named, suffix_of, write_whole
 from raygrid.node.errors import OutputError
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+    from PIL.Image import Image
 
 GIF_TICK = 10  # milliseconds; a GIF counts in these, and players take fewer than two of them for ten
 FFMPEG_SECONDS = 60.0  # for it to end, once it has all frames; and a second more for each of them
@@ -93,7 +94,7 @@ class Reel:
             shown = max(1, round(1000.0 / fps))
             write_whole(path, lambda file: _save_all(file, "WEBP", self._images(numbers), shown, {"lossless": True}))
 
-    def _images(self, numbers: Sequence[int]) -> Iterator[Any]:
+    def _images(self, numbers: Sequence[int]) -> Iterator[Image]:
         from PIL import Image
 
         for number in numbers:
@@ -114,11 +115,10 @@ class Reel:
         command += ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-c:v", "libx264", "-crf", "18", "-pix_fmt", "yuv420p"]
         command += ["-frames:v", str(len(numbers))]
         try:
-            with part_file(os.path.dirname(target), ".mp4") as (part, file):
+            with whole_file(target, ".mp4") as (part, file):
                 self._run([*command, part], path, limit)
                 os.fsync(file.fileno())
                 self._look_through(part, path, len(numbers), limit)
-                os.replace(part, target)
         except OSError as error:
             raise OutputError(f"{path}: the film cannot be written by ffmpeg ({error.strerror or error})") from None
 
@@ -152,7 +152,7 @@ class Reel:
             raise OutputError(f"{path}: the film that ffmpeg wrote has {found} frames, wanted {frames}")
 
 
-def _save_all(file: BinaryIO, kind: str, images: Iterator[Any], shown: int, options: dict[str, Any]) -> None:
+def _save_all(file: BinaryIO, kind: str, images: Iterator[Image], shown: int, options: dict[str, object]) -> None:
     first = next(images)
     first.save(file, kind, save_all=True, append_images=images, duration=shown, loop=0, **options)
 

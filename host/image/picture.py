@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from raygrid.host.image.outputs import FORMATS, SUMS, check_picture_path, check_
 from raygrid.host.image.transfer import TRANSFERS, to_bytes
 from raygrid.node.errors import OutputError
 from raygrid.node.tracing import UNIT
+
+if TYPE_CHECKING:
+    from PIL.PngImagePlugin import PngInfo
 
 MOST_AHEAD = 1 << 22  # pixels of a picture that is encoded in memory
 
@@ -127,7 +130,7 @@ def prepare(paths: Sequence[str | Path]) -> None:
         Image.preinit()
 
 
-def _png_texts(texts: Mapping[str, str]) -> Any:
+def _png_texts(texts: Mapping[str, str]) -> PngInfo:
     from PIL.PngImagePlugin import PngInfo
 
     info = PngInfo()

@@ -6,9 +6,10 @@ import contextlib
 import hashlib
 import os
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from raygrid.host.image.outputs import SUMS, suffix_of
 from raygrid.node.errors import RaygridError
@@ -96,7 +97,7 @@ def _text_of_picture(path: str, width: int, height: int) -> str | None:
     return digest if own else ""
 
 
-def _digest_of_pixels(mode: str, size: tuple[int, ...], pixels: Any) -> str:
+def _digest_of_pixels(mode: str, size: tuple[int, ...], pixels: NDArray[np.generic]) -> str:
     """A digest of what is seen: a picture that was edited has another, whatever its text says."""
     about = f"{mode} {size[0]}x{size[1]} ".encode()
     return hashlib.sha256(about + np.ascontiguousarray(pixels).tobytes()).hexdigest()

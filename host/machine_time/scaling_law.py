@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from raygrid.emulator.simulator import make_model, trace
 from raygrid.host.machine_time.cost_models import CostModel
@@ -81,9 +81,9 @@ class Fit:
     power: tuple[float, float, float]
     points: tuple[Point, ...]
 
-    def time(self, n: Any, rays: Any) -> Any:
+    def time(self, n: ArrayLike, rays: ArrayLike) -> F64:
         """Seconds by the law."""
-        return law(KINDS[self.kind], n, rays) @ self.values
+        return np.asarray(law(KINDS[self.kind], n, rays) @ self.values)
 
     @property
     def above(self) -> int:
@@ -98,10 +98,10 @@ class Fit:
         return float((power * self.values[2] * rays / self.values[1]) ** (1.0 / (power + 1)))
 
 
-def law(power: float, n: Any, rays: Any) -> F64:
+def law(power: float, n: ArrayLike, rays: ArrayLike) -> F64:
     """The three terms without their factors, 1, n and rays / n^power: float64 (..., 3)."""
-    n, rays = np.broadcast_arrays(np.asarray(n, np.float64), np.asarray(rays, np.float64))
-    return np.stack((np.ones_like(n), n, rays / n**power), axis=-1)
+    size, count = np.broadcast_arrays(np.asarray(n, np.float64), np.asarray(rays, np.float64))
+    return np.stack((np.ones_like(size), size, count / size**power), axis=-1)
 
 
 class _Solved(NamedTuple):

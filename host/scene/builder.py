@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import reprlib
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -303,7 +302,7 @@ def _with_unit_normals(data: F64) -> F64:
     return np.concatenate((data[:, :9], units.reshape(-1, 9)), axis=1)
 
 
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     """A value out of a file for a message, shortened."""
     try:
         text = SHORT.repr(value)

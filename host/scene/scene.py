@@ -7,7 +7,6 @@ about arrays of processors: coordinates are the scene's own, and data is float64
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +57,7 @@ class Scene:
     up: tuple[float, float, float] = (0.0, 1.0, 0.0)
 
 
-def describe(scene: Scene) -> dict[str, Any]:
+def describe(scene: Scene) -> dict[str, object]:
     """The facts of a scene as plain lists, numbers and strings, ready for JSON."""
     counts = {kind.name.lower(): scene.surfaces.count(kind) for kind in SURFACE_KINDS}
     return {
@@ -88,7 +87,7 @@ def light_kind(row: np.void) -> str:
     return "directional" if row["kind"] == DIRECTIONAL else "spot" if row["spot"] else "point"
 
 
-def _light(row: np.void) -> dict[str, Any]:
+def _light(row: np.void) -> dict[str, object]:
     kind = light_kind(row)
     return {
         "kind": kind,
@@ -98,7 +97,7 @@ def _light(row: np.void) -> dict[str, Any]:
     }
 
 
-def _camera(camera: Camera) -> dict[str, Any]:
+def _camera(camera: Camera) -> dict[str, object]:
     view = {"height": 2.0 * camera.half}
     if not camera.orthographic:
         view = {"angle": float(np.degrees(2.0 * np.arctan(camera.half)))}

@@ -17,7 +17,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,7 @@ from raygrid.host.scene.builder import MAX_COORDINATE, SceneBuilder, plural, sho
 from raygrid.host.scene.cameras import Camera, look_at_everything, orthographic_camera, perspective_camera
 from raygrid.host.scene.finish import finish_scene
 from raygrid.host.scene.formats.gltf_animation import GltfAnimation, Part, frames_of, part_names, read_animations
-from raygrid.host.scene.formats.gltf_document import Document
+from raygrid.host.scene.formats.gltf_document import Document, JsonObject
 from raygrid.host.scene.formats.gltf_materials import TINTED, GltfMaterial, Materials
 from raygrid.host.scene.lights import (
     Table,
@@ -104,10 +103,10 @@ class _GltfReader:
         for _, first, end in self.moving:
             self.builder.let_move(first, end)
         lights = self._exposed(camera)
-        scene = finish_scene(self.builder, self.document.path, camera=camera, lights=lights, highlights=True)
-        return replace(scene, shot=self._shot(scene)) if self.motions else scene
+        scene = finish_scene(self.builder, self.document.path, camera=camera, lights=lights)
+        return replace(scene, shot=self._animation(scene)) if self.motions else scene
 
-    def _shot(self, scene: Scene) -> Animation:
+    def _animation(self, scene: Scene) -> Animation:
         """What the animations change."""
         orders, parts = self.builder.orders, [part for part, _, _ in self.moving]
         ids, numbers = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
@@ -149,7 +148,7 @@ class _GltfReader:
             every = range(len(json.get("nodes", ())))
             children = {child for k in every for child in self.document.item("nodes", k).get("children", ())}
             roots = [k for k in every if k not in children]
-        above: tuple[tuple[int, dict[str, Any]], ...] = ()
+        above: tuple[tuple[int, JsonObject], ...] = ()
         waiting = [(number, np.eye(4), above) for number in reversed(roots)]
         seen: set[int] = set()
         while waiting:
@@ -181,12 +180,12 @@ class _GltfReader:
             self.light_parts.append(part)
             self.lights.append(_light(self._lamp(row), matrix))
 
-    def _lamp(self, row: dict[str, Any]) -> dict[str, Any]:
+    def _lamp(self, row: JsonObject) -> JsonObject:
         lamps = self.document.json["extensions"][LIGHTS]["lights"]
-        found: dict[str, Any] = lamps[row["extensions"][LIGHTS]["light"]]
+        found: JsonObject = lamps[row["extensions"][LIGHTS]["light"]]
         return found
 
-    def _camera(self, row: dict[str, Any], matrix: F64) -> Camera:
+    def _camera(self, row: JsonObject, matrix: F64) -> Camera:
         """A camera looks down its node's -z, its picture's up is +y; the node's scale does not change the angle."""
         eye, forward, up = matrix[:3, 3], -matrix[:3, 2], matrix[:3, 1]
         try:
@@ -196,7 +195,7 @@ class _GltfReader:
         except SceneError as error:
             raise self.document.error(str(error)) from None
 
-    def _add_primitive(self, primitive: dict[str, Any], matrix: F64) -> None:
+    def _add_primitive(self, primitive: JsonObject, matrix: F64) -> None:
         attributes = primitive["attributes"]
         if primitive.get("mode", TRIANGLES) not in (TRIANGLES, STRIP, FAN) or "POSITION" not in attributes:
             self.skipped += 1
@@ -218,7 +217,7 @@ class _GltfReader:
         turned = (normals @ cofactors.T) * math.copysign(1.0, np.linalg.det(m))
         self.builder.add(Kind.SMOOTH, np.concatenate((data, turned[faces].reshape(-1, 9)), axis=1), materials)
 
-    def _faces(self, primitive: dict[str, Any], points: int) -> Ints:
+    def _faces(self, primitive: JsonObject, points: int) -> Ints:
         """The triangles' vertices, (t, 3)."""
         index = np.arange(points)
         if "indices" in primitive:
@@ -236,7 +235,7 @@ class _GltfReader:
         odd = step % 2  # every other triangle of a strip runs the other way
         return np.stack((index[step], index[step + 1 + odd], index[step + 2 - odd]), axis=1)
 
-    def _face_materials(self, primitive: dict[str, Any], faces: Ints) -> Ints:
+    def _face_materials(self, primitive: JsonObject, faces: Ints) -> Ints:
         material = self.materials.get(primitive.get("material"))
         tints = self._tints(primitive["attributes"], material, faces)
         if tints is not None:
@@ -246,7 +245,7 @@ class _GltfReader:
             self._numbers[id(material)] = self.builder.add_materials(material.row)
         return np.full(len(faces), self._numbers[id(material)], np.int64)
 
-    def _tints(self, attributes: dict[str, Any], material: GltfMaterial, faces: Ints) -> Bytes | None:
+    def _tints(self, attributes: JsonObject, material: GltfMaterial, faces: Ints) -> Bytes | None:
         """The triangles' colours by texture and by vertex, sRGB, (t, 3); None if they have neither."""
         tints: F64 | None = None
         if material.texture is not None and material.coordinates in attributes:
@@ -260,7 +259,7 @@ class _GltfReader:
         return None if tints is None else as_bytes(tints)
 
 
-def node_matrix(row: dict[str, Any]) -> F64:
+def node_matrix(row: JsonObject) -> F64:
     """A node's own matrix, (4, 4): `matrix`, or translation x rotation x scale."""
     if "matrix" in row:
         matrix = np.array(row["matrix"], np.float64).reshape(4, 4).T
@@ -275,7 +274,7 @@ def node_matrix(row: dict[str, Any]) -> F64:
     return matrix
 
 
-def _light(row: dict[str, Any], matrix: F64) -> Table:
+def _light(row: JsonObject, matrix: F64) -> Table:
     """A light shines down its node's -z."""
     strength = float(row.get("intensity", 1.0)) * np.array(row.get("color", (1.0, 1.0, 1.0)), np.float64)
     if not np.isfinite(strength).all() or strength.min() < 0.0 or len(strength) != 3:

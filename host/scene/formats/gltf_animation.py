@@ -10,14 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from raygrid.host.scene.animation.keyframes import Keyframes, make_keyframes
 from raygrid.host.scene.animation.motions import motion
 from raygrid.host.scene.cameras import Camera
-from raygrid.host.scene.formats.gltf_document import Document
+from raygrid.host.scene.formats.gltf_document import Document, JsonObject
 from raygrid.host.scene.lights import Table, light_table
 from raygrid.host.scene.pose import FPS, MAX_FRAMES, Pose
 from raygrid.host.scene.scene import Scene
@@ -74,7 +73,7 @@ def read_animations(document: Document) -> tuple[Motions, float]:
     return found, last
 
 
-def _track(document: Document, sampler: dict[str, Any], path: str, where: str) -> tuple[Keyframes | Spline, float]:
+def _track(document: Document, sampler: JsonObject, path: str, where: str) -> tuple[Keyframes | Spline, float]:
     times = document.accessor(sampler["input"])[:, 0].astype(np.float64)
     values = document.accessor(sampler["output"]).astype(np.float64)
     way = sampler.get("interpolation", "LINEAR")
@@ -110,7 +109,7 @@ class Part:
     """A mesh, camera or light of the file: its node, and that node's parents from the root on, with their rows."""
 
     name: str
-    path: tuple[tuple[int, dict[str, Any]], ...]
+    path: tuple[tuple[int, JsonObject], ...]
 
     def moves(self, motions: Motions) -> bool:
         """Whether any of the nodes is animated."""
@@ -123,7 +122,7 @@ class GltfAnimation:
 
     scene: Scene
     motions: Motions
-    place: Callable[[dict[str, Any]], F64]
+    place: Callable[[JsonObject], F64]
     groups: tuple[Part, ...]
     camera: Part | None
     lights: tuple[Part, ...]
@@ -172,7 +171,7 @@ class GltfAnimation:
         return motion(quaternion_of_matrix(turn), scale, by[:3, 3])
 
 
-def part_names(paths: Sequence[tuple[int, dict[str, Any]]]) -> str:
+def part_names(paths: Sequence[tuple[int, JsonObject]]) -> str:
     """What to call a node: by its name, or by its number."""
     number, row = paths[-1]
     return str(row.get("name") or f"nodes[{number}]")

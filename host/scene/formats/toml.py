@@ -80,13 +80,18 @@ class _TomlReader:
             lights=light_table([first_lights, *map(_light, file.lights)]),
             background=background,
             highlights=True if file.highlights is None else file.highlights,
+        )
+        up = file.camera.up if file.camera else base.up if base else scene.up
+        return replace(
+            scene,
             size=size,
             samples=image.samples,
             depth=image.depth,
             min_weight=image.min_weight,
+            rules=self._rules(len(scene.materials)),
+            shot=self._animation(scene, first_lights),
+            up=up,
         )
-        up = file.camera.up if file.camera else base.up if base else scene.up
-        return replace(scene, up=up, rules=self._rules(len(scene.materials)), shot=self._shot(scene, first_lights))
 
     def _rules(self, materials: int) -> F64 | None:
         """The numbers that materials have for a program; None if none has any."""
@@ -99,7 +104,7 @@ class _TomlReader:
                 rules[row, 0], rules[row, 1 : 1 + len(m.rule)] = 1.0, m.rule
         return rules
 
-    def _shot(self, scene: Scene, first_lights: Table) -> Animation | None:
+    def _animation(self, scene: Scene, first_lights: Table) -> Animation | None:
         """What changes; None if nothing does."""
         file, table = self.file, self.file.shot or schema.AnimationTable()
         holders = [

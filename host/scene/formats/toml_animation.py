@@ -74,9 +74,8 @@ class SceneAnimation:
 
     def pose(self, frame: int) -> Pose:
         """Where everything is. Raises SceneError for a camera or light that cannot be."""
-        motions: list[F64 | None] = [None] * len(self.groups)
-        for group in range(len(self.groups)):
-            self._motion(group, frame, motions)
+        known: dict[int, F64] = {}
+        motions = [self._motion(group, frame, known) for group in range(len(self.groups))]
         scene = self.scene
         camera = scene.camera if self.camera is None else self.make_camera(self.camera.at(frame))
         lights, materials = scene.lights, scene.materials
@@ -86,11 +85,11 @@ class SceneAnimation:
             materials = materials.copy()
             for row, material in self.materials:
                 materials[row : row + 1] = self.make_material(material.at(frame))
-        return Pose(np.stack(motions) if motions else at_rest(0), camera, lights, materials)  # type: ignore[arg-type]
+        return Pose(np.stack(motions) if motions else at_rest(0), camera, lights, materials)
 
-    def _motion(self, group: int, frame: int, known: list[F64 | None]) -> F64:
+    def _motion(self, group: int, frame: int, known: dict[int, F64]) -> F64:
         """A group's whole motion: its own, then its parent's."""
-        found = known[group]
+        found = known.get(group)
         if found is None:
             m = self.groups[group].at(frame)
             own = about(self.pivots[group], quaternion_of_angles(m.rotate), m.scale)

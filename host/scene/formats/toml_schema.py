@@ -6,7 +6,7 @@ Unknown keys are refused: a misspelt one would otherwise be a silent default. Nu
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import (
     AfterValidator,
@@ -26,7 +26,7 @@ MAX_DEPTH = 31  # five bits of a packet hold the depth
 MAX_FRAME = 1_000_000
 
 
-def _tripled(value: Any) -> Any:
+def _tripled(value: object) -> object:
     """One number stands for three equal ones."""
     return (value, value, value) if isinstance(value, int | float) and not isinstance(value, bool) else value
 
