@@ -1,4 +1,4 @@
-"""Files and directories that are there only while something is written, and the removing of those that were left.
+"""Writes files whole or not at all, makes temporary directories, and removes what dead processes left of both.
 
 Who makes one holds a lock on it, which the kernel takes away when that process ends, however it ends. So whoever comes
 next can tell what is left of the dead from what is in use, across containers and computers, too.
@@ -33,7 +33,7 @@ _swept: dict[tuple[str, str], float] = {}  # when this process has looked throug
 
 @contextlib.contextmanager
 def part_file(folder: str, suffix: str = "") -> Iterator[tuple[str, BinaryIO]]:
-    """A new file in a folder, to be renamed when it is whole; removed if it is not. Raises OSError."""
+    """Make a new file in a folder, to be renamed within the block, else removed. Raises OSError."""
     _sweep_once(folder, FILE_NAME, stat.S_ISREG)
     path, descriptor = _locked(folder, FILE, suffix, _make_file)
     try:
@@ -63,7 +63,7 @@ def sweep_folders() -> None:
 
 
 class PartFolder:
-    """A new directory among the temporary ones, ours alone. Raises OSError."""
+    """Owns a new directory among the temporary ones, ours alone. Raises OSError."""
 
     def __init__(self) -> None:
         sweep_folders()

@@ -1,4 +1,4 @@
-"""TOML as tables, within limits: the reader of the standard library makes a table for each part of a key, and more."""
+"""Reads TOML within limits of size and depth: the reader of the standard library makes a table for each part of a key, and more."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ RUN, DOTTED = re.compile(f"{WORD}{MORE}*+"), re.compile(f"{WORD}{MORE}{{{MOST_PA
 
 
 def read_toml(data: bytes) -> tuple[str, dict[str, object]]:
-    """The text and its tables. Raises ValueError, saying what is wrong."""
+    """Return the text and its tables. Raises ValueError, saying what is wrong."""
     if len(data) > LARGEST_TEXT:
         raise ValueError(f"it has {len(data):,} bytes, wanted at most {LARGEST_TEXT:,}")
     text = data.decode("utf-8")

@@ -1,6 +1,6 @@
-"""Files that play: GIF and WebP by Pillow, MP4 where ffmpeg is installed.
+"""Writes files that play: GIF and WebP by Pillow, MP4 where ffmpeg is installed.
 
-The frames of a file wait as PNGs in a directory, so that a long shot does not fill the memory; the file itself appears
+The frames of a file wait as PNGs in a directory, so that a long animation does not fill the memory; the file itself appears
 whole or not at all.
 """
 
@@ -41,7 +41,7 @@ def check_played(path: str) -> None:
 
 
 def padding(path: str, width: int, height: int) -> str | None:
-    """What is to be said of a film whose sides its codec cannot have; None: nothing."""
+    """Tell of the black that is added to a film whose sides its codec cannot have; None if there is none."""
     even = width + width % 2, height + height % 2
     if suffix_of(path) != ".mp4" or even == (width, height):
         return None
@@ -50,7 +50,7 @@ def padding(path: str, width: int, height: int) -> str | None:
 
 
 class Reel:
-    """The frames of files that play, as they wait in a directory that is there.
+    """Keeps the frames of files that play, in a directory that is there.
 
     look  called often while a file is written: what it raises ends the writing
     """
@@ -74,11 +74,11 @@ class Reel:
             raise OutputError(f"{picture}: the picture cannot be read ({error.strerror})") from None
 
     def has(self, number: int) -> bool:
-        """Whether a frame waits here."""
+        """Test that a frame waits here."""
         return os.path.isfile(self.file(number))
 
     def file(self, number: int) -> str:
-        """Where a frame waits."""
+        """Return the path of a frame that waits."""
         return os.path.join(self.folder, f"{number:09d}.png")
 
     def play(self, path: str, numbers: Sequence[int], fps: float) -> None:
@@ -159,7 +159,7 @@ def _save_all(file: BinaryIO, kind: str, images: Iterator[Image], shown: int, op
 
 @contextlib.contextmanager
 def waiting() -> Iterator[Reel]:
-    """A reel in a temporary directory, which is gone at the end. Raises OutputError if none can be made."""
+    """Make a reel in a temporary directory, which is gone at the end. Raises OutputError if none can be made."""
     try:
         folder = PartFolder()
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Whether the file of a frame is there, whole, and of just that frame: what `--resume` skips."""
+"""Checks that the files of a frame are there, whole, and of just that frame, which `--resume` then skips."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ def save_marked(picture: Picture, path: str, transfer: str, digest: str) -> None
 
 
 def nobody(_path: str, _digest: str) -> bool:
-    """Where there is no journal, nothing is recorded."""
+    """Stand in for a journal where there is none: nothing is recorded."""
     return False
 
 
 def frame_is_there(
     files: Sequence[str], stats: str | None, digest: str, size: tuple[int, int], recorded: Recorded = nobody
 ) -> bool:
-    """Whether all files of a frame are there, whole, and of just that frame; statistics need only be there."""
+    """Test that all files of a frame are there, whole, and of just that frame; statistics need only be there."""
     if stats is not None and not os.path.isfile(stats):
         return False
     with contextlib.suppress(RaygridError):  # a journal that cannot be read vouches for nothing
@@ -48,14 +48,14 @@ def frame_is_there(
 
 
 def film_is_there(path: str, digest: str, recorded: Recorded) -> bool:
-    """Whether a file that plays is there as it was written, with that digest."""
+    """Test that a file that plays is there as it was written, with that digest."""
     with contextlib.suppress(RaygridError):
         return os.path.isfile(path) and recorded(path, digest)
     return False
 
 
 def is_whole(path: str, digest: str, width: int, height: int, recorded: Recorded) -> bool:
-    """Whether the file at `path` is the picture of that digest and size, and can be read to its end.
+    """Test that the file at `path` is the picture of that digest and size, and can be read to its end.
 
     recorded  whether the journal says that this file was written with that digest and has not been changed since;
               for a .png the digest inside it is enough

@@ -1,4 +1,4 @@
-"""Cost models: what each piece of a node's work costs in ticks. Files of TOML, some built in (`emulator/costs`).
+"""Reads cost models, which price each piece of a node's work in ticks: files of TOML, some built in (`emulator/costs`).
 
 docs/costs.md says what the keys mean and where the numbers come from. Each cost is a list of three whole numbers, low,
 middle and high, or one number that stands for all three.

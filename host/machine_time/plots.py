@@ -1,4 +1,4 @@
-"""Plots of a simulated frame (needs the extra `plots`): heat maps a layer of processors, and what happens over time."""
+"""Plots a simulated frame (needs the extra `plots`): heat maps a layer of processors, and queues over time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The law of 1983: the time of a frame on n x n and n x n x n processors, swept in the simulator and fitted.
+"""Fits the scaling law of 1983 to frames that are simulated on n x n and n x n x n processors.
 
     square  T = A + B n + C R / n^2        cubic  T = A + B n + C R / n^3
 
@@ -58,13 +58,13 @@ class Point:
 
     @property
     def processors(self) -> int:
-        """How many the array has."""
+        """Count the processors of the array."""
         return self.shape[0] * self.shape[1] * self.shape[2]
 
 
 @dataclass(frozen=True)
 class Fit:
-    """What was fitted to the points of one scene and kind.
+    """Holds the fit to the points of one scene and kind.
 
     values, bounds   A, B and C in seconds, and by how much each may be off at CONFIDENCE (float64 (3,) each); one that
                      is held at 0 has the bound 0
@@ -87,7 +87,7 @@ class Fit:
 
     @property
     def above(self) -> int:
-        """How many frames took longer than the law has it."""
+        """Count the frames that took longer than the law has it."""
         return int(np.count_nonzero(self.residuals > 0.0))
 
     def best(self, rays: int) -> float:

@@ -1,4 +1,4 @@
-"""The report of `raygrid law`: Markdown, plots and the data as CSV, in a folder."""
+"""Writes the report of `raygrid law`: Markdown, plots and the data as CSV, in a folder."""
 
 from __future__ import annotations
 

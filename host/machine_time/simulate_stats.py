@@ -1,4 +1,4 @@
-"""What a simulated frame says of the machine: as a map for JSON, and as a row a node for CSV. See docs/machine-time.md."""
+"""Derives the statistics of a simulated frame: a map for JSON, and a row a node for CSV. See docs/machine-time.md."""
 
 from __future__ import annotations
 

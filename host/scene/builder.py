@@ -1,4 +1,4 @@
-"""What all readers share: files, the collecting of surfaces and materials, and the rules that every scene must meet."""
+"""Collects surfaces and materials for all readers, and enforces the rules that every scene must meet."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ class SceneBuilder:
         self._take(Kind.POLYGON, chosen, every[kept], order[kept], len(begins) - 1, begins)
 
     def triangulate(self, points: F64, starts: Ints) -> tuple[Ints, Ints]:
-        """`scene_polygons.triangulate`, with a remark on what could be cut only by guess; raises SceneError for what is
+        """`polygons.triangulate`, with a remark on what could be cut only by guess; raises SceneError for what is
         not convex and has more corners than can be cut in reasonable time."""
         self._check_corners(np.diff(starts)[~convex_polygons(points, starts)], "that is not convex")
         rows, owner, crossing = triangulate(points, starts)

@@ -1,4 +1,4 @@
-"""The last step of readers whose files may lack a camera or lights: invent what is missing, and say so."""
+"""Completes scenes whose files lack a camera or lights: invents what is missing, and says so."""
 
 from __future__ import annotations
 

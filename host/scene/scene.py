@@ -1,6 +1,6 @@
-"""A scene: everything that a file says about what is to be rendered, checked and in one form.
+"""Defines a scene: everything that a file says about what is to be rendered, checked and in one form.
 
-Readers (`nff`, `meshes`, `gltf`, `scenefile`) make scenes, `load.load_scene` picks the reader. Nothing here knows
+Readers (`host.scene.formats`) make scenes, `load.load_scene` picks the reader. Nothing here knows
 about arrays of processors: coordinates are the scene's own, and data is float64.
 """
 
@@ -21,7 +21,7 @@ Colour = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Scene:
-    """What is to be rendered.
+    """Describes what is to be rendered.
 
     name        the file's name, for messages
     surfaces    scene coordinates, float64; ids are 0 to n - 1 in the order of the file
@@ -36,7 +36,7 @@ class Scene:
     highlights  whether the materials' highlights are to be used
     remarks     one line each on what was dropped or invented
     rules       numbers of materials for a program, float64 (m, tables.RULE_COLUMNS), None if none has any
-    shot        what changes from frame to frame, None if nothing does; surfaces are at rest then
+    shot        the animation, what changes from frame to frame, None if nothing does; surfaces are at rest then
     up          what points up in the world: as the file says, else as its format has it
     """
 
@@ -58,7 +58,7 @@ class Scene:
 
 
 def describe(scene: Scene) -> dict[str, object]:
-    """The facts of a scene as plain lists, numbers and strings, ready for JSON."""
+    """Return the facts of a scene as plain lists, numbers and strings, ready for JSON."""
     counts = {kind.name.lower(): scene.surfaces.count(kind) for kind in SURFACE_KINDS}
     return {
         "name": scene.name,
@@ -83,7 +83,7 @@ def describe(scene: Scene) -> dict[str, object]:
 
 
 def light_kind(row: np.void) -> str:
-    """What a light is called: directional, spot or point."""
+    """Name the kind of a light: directional, spot or point."""
     return "directional" if row["kind"] == DIRECTIONAL else "spot" if row["spot"] else "point"
 
 

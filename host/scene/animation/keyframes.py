@@ -1,4 +1,4 @@
-"""Values that change from frame to frame, given at some frames: keys, and what lies between them.
+"""Interpolates values between keyframes.
 
     linear   straight from key to key
     smooth   cubic from key to key: it starts and ends gently, goes evenly through the keys between, and nowhere beyond
@@ -24,7 +24,7 @@ WAYS = ("linear", "smooth", "step")
 
 @dataclass(frozen=True)
 class Keyframes:
-    """Keys of one value.
+    """Holds the keyframes of one value.
 
     frames  float64 (k,), ascending; of a glTF file, seconds
     values  float64 (k, n)
@@ -38,7 +38,7 @@ class Keyframes:
     turns: bool = False
 
     def at(self, frame: float) -> F64:
-        """The value at a frame, float64 (n,)."""
+        """Interpolate the value at a frame, float64 (n,)."""
         after = int(np.searchsorted(self.frames, frame, side="right"))
         if after == 0 or after == len(self.frames):
             return np.array(self.values[min(after, len(self.frames) - 1)])
@@ -75,7 +75,7 @@ class Keyframes:
 
 
 def make_keyframes(frames: ArrayLike, values: ArrayLike, way: str = "linear", turns: bool = False) -> Keyframes:
-    """A checked track. Raises SceneError for keys that are out of order, not finite, or none."""
+    """Check keys and make keyframes of them. Raises SceneError for keys that are out of order, not finite, or none."""
     at, rows = np.asarray(frames, np.float64), np.asarray(values, np.float64)
     if len(at) == 0 or way not in WAYS:
         raise SceneError(

@@ -1,9 +1,9 @@
-"""glTF 2.0 scenes (.glb and .gltf): geometry, node tree, cameras, lights and materials.
+"""Reads glTF 2.0 scenes (.glb and .gltf): geometry, node tree, cameras, lights and materials.
 
 The document is read here and not by trimesh, which (in 5.2) leaves the parents' scale out of cameras, makes up its own
 lights and drops transmission.
 
-Axes are glTF's: right-handed, y up. Materials: `scene_gltf_materials`. The first camera in the node tree is used.
+Axes are glTF's: right-handed, y up. Materials: `gltf_materials`. The first camera in the node tree is used.
 
 Exposure: lights come in candela and lux, which say how bright a scene is but not how it is to be photographed (an
 ordinary lamp out of Blender is 32,610 cd). All intensities are divided by one number, so that the brightest light gives
@@ -116,7 +116,7 @@ class _GltfReader:
         given = max((float(light["intensity"].max()) for light in self.lights), default=0.0)
         shown_as = float(scene.lights["intensity"].max(initial=0.0))
         camera = next((part for part in self.camera_parts[:1] if part.moves(self.motions)), None)
-        rig = GltfAnimation(
+        poses = GltfAnimation(
             scene,
             self.motions,
             node_matrix,
@@ -128,7 +128,7 @@ class _GltfReader:
             shown_as / given if given > 0.0 else 1.0,
         )
         groups = make_groups(np.concatenate(ids), np.concatenate(numbers), len(parts))
-        return Animation(frames_of(self._last), tuple(part.name for part in parts), groups, rig.pose)
+        return Animation(frames_of(self._last), tuple(part.name for part in parts), groups, poses.pose)
 
     def _exposed(self, camera: Camera | None) -> Table | None:
         if not self.lights:

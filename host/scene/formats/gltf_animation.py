@@ -1,4 +1,4 @@
-"""Animations of a glTF file: where its nodes are at any time, and the shot that this makes.
+"""Reads the animations of a glTF file, and poses its nodes by them.
 
 All animations of the file play together from time 0. Frame 1 is time 0, and there are FPS frames a second. A mesh under
 nodes that move is a group; what its nodes do to it must be turning, even scaling and shifting of how the file places it.
@@ -97,7 +97,7 @@ def _track(document: Document, sampler: JsonObject, path: str, where: str) -> tu
 
 
 def frames_of(last: float, fps: float = FPS) -> int:
-    """How many frames a shot has whose last key is at this time."""
+    """Count the frames of an animation whose last key is at this time. Raises SceneError for too many."""
     frames = math.floor(last * fps + 1e-6) + 1
     if frames > MAX_FRAMES:
         raise SceneError(f"the animations last {last:g} s, wanted at most {MAX_FRAMES / fps:g} s")
@@ -112,13 +112,13 @@ class Part:
     path: tuple[tuple[int, JsonObject], ...]
 
     def moves(self, motions: Motions) -> bool:
-        """Whether any of the nodes is animated."""
+        """Test whether any of the nodes is animated."""
         return any((number, path) in motions for number, _ in self.path for path in WIDTHS)
 
 
 @dataclass(frozen=True)
 class GltfAnimation:
-    """The moving parts of a file. `place` gives a node's own matrix, (4, 4), of its row."""
+    """Animates the moving parts of a file. `place` gives a node's own matrix, (4, 4), of its row."""
 
     scene: Scene
     motions: Motions
@@ -132,7 +132,7 @@ class GltfAnimation:
     fps: float = FPS
 
     def pose(self, frame: int) -> Pose:
-        """Where everything is. Raises SceneError for what a group cannot do."""
+        """Pose everything. Raises SceneError for what a group cannot do."""
         time = (frame - 1) / self.fps
         motions = [self._motion(part, time) for part in self.groups]
         camera = (
@@ -172,6 +172,6 @@ class GltfAnimation:
 
 
 def part_names(paths: Sequence[tuple[int, JsonObject]]) -> str:
-    """What to call a node: by its name, or by its number."""
+    """Name a node: by its name, or by its number."""
     number, row = paths[-1]
     return str(row.get("name") or f"nodes[{number}]")

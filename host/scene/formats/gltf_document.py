@@ -1,4 +1,4 @@
-"""glTF 2.0 as a document: the container, its JSON, buffers, accessors and pictures.
+"""Reads glTF 2.0 as a document: the container, its JSON, buffers, accessors and pictures.
 
 .glb holds JSON and one buffer; .gltf is JSON with its buffers beside it or inside as data URIs. What a file says of its
 own sizes is checked against what is there, so that a cut file is an error and not a wrong picture.

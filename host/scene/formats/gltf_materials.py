@@ -1,4 +1,4 @@
-"""The materials of glTF files, mapped from physically based shading to Whitted's.
+"""Maps the materials of glTF files from physically based shading to Whitted's.
 
 With base colour C, metal m, roughness r, transmission t (each 0 to 1) and ior n:
 

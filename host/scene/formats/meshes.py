@@ -1,4 +1,4 @@
-"""Meshes: OBJ with MTL (`scene_obj`), PLY (`scene_ply`) and STL (by trimesh), with a camera and lights that show them.
+"""Reads meshes: OBJ with MTL (`obj`), PLY (`ply`) and STL (by trimesh), with a camera and lights that show them.
 
 Axes: OBJ and PLY files have y up, STL files z up. Coordinates stay as they are; the invented camera knows.
 

@@ -1,6 +1,6 @@
-"""The scene file (TOML): our own format for scenes made of primitives and meshes, with materials, lights and camera.
+"""Reads the scene file (TOML), our own format: primitives and meshes, with materials, lights and camera.
 
-`scenefile_schema` says what may stand in it, this module turns it into a scene. Ids run through the included file,
+`toml_schema` says what may stand in it, this module turns it into a scene. Ids run through the included file,
 then [[surfaces]], then [[meshes]]. Errors name the file, the line if it can be found, the key, what came and what was
 wanted; only the first is told, since the others are often its consequences.
 """
@@ -105,7 +105,7 @@ class _TomlReader:
         return rules
 
     def _animation(self, scene: Scene, first_lights: Table) -> Animation | None:
-        """What changes; None if nothing does."""
+        """The animation; None if nothing changes."""
         file, table = self.file, self.file.shot or schema.AnimationTable()
         holders = [
             *file.groups.values(),
@@ -117,7 +117,7 @@ class _TomlReader:
         if table.frames is None and last == 0:
             return None
         names, way = tuple(file.groups), table.interpolation
-        rig = SceneAnimation(
+        poses = SceneAnimation(
             scene,
             tuple(keyed(schema.Motion(), g.keys, g.interpolation or way) for g in file.groups.values()),
             tuple(g.pivot for g in file.groups.values()),
@@ -134,7 +134,7 @@ class _TomlReader:
             _light,
             _material,
         )
-        return Animation(table.frames or last, names, self._groups(names), rig.pose, table.fps)
+        return Animation(table.frames or last, names, self._groups(names), poses.pose, table.fps)
 
     def _groups(self, names: tuple[str, ...]) -> Groups:
         """Which surfaces are in which group."""

@@ -1,4 +1,4 @@
-"""The moving parts of a scene file: tracks of groups, camera, lights and materials, and the pose in a frame."""
+"""Poses the animated parts of a scene file (groups, camera, lights, materials) by their keyframes."""
 
 from __future__ import annotations
 
@@ -23,35 +23,35 @@ Model = TypeVar("Model", bound=schema.FileTable)
 
 @dataclass(frozen=True)
 class Keyed(Generic[Model]):
-    """A table of the file, and the tracks of those of its keys that change."""
+    """A table of the file, and the keyframes of those of its keys that change."""
 
     table: Model
-    tracks: dict[str, Keyframes]
+    keyframes: dict[str, Keyframes]
 
     def at(self, frame: int) -> Model:
         """The table as it is in a frame."""
-        if not self.tracks:
+        if not self.keyframes:
             return self.table
         values: dict[str, Any] = {}
-        for name, track in self.tracks.items():
-            value = track.at(frame).tolist()
+        for name, one in self.keyframes.items():
+            value = one.at(frame).tolist()
             values[name] = value[0] if len(value) == 1 else tuple(value)
         return self.table.model_copy(update=values)
 
 
 def keyed(table: Model, keys: Sequence[schema.Key], way: str) -> Keyed[Model]:
-    """The tracks of a table's keys; a value that no key names stays as the table has it."""
-    tracks = {}
+    """Make keyframes of a table's keys; a value that no key names stays as the table has it."""
+    keyframes = {}
     for name in type(keys[0]).model_fields if keys else ():
         rows = [(key.frame, getattr(key, name)) for key in keys if getattr(key, name) is not None]
         if name != "frame" and rows:
-            tracks[name] = make_keyframes([row[0] for row in rows], [row[1] for row in rows], way)
-    return Keyed(table, tracks)
+            keyframes[name] = make_keyframes([row[0] for row in rows], [row[1] for row in rows], way)
+    return Keyed(table, keyframes)
 
 
 @dataclass(frozen=True)
 class SceneAnimation:
-    """Everything that moves.
+    """Animates everything that moves.
 
     groups     in the order of their names
     parents    of each group, its number or -1
@@ -73,13 +73,13 @@ class SceneAnimation:
     make_material: Callable[[schema.Material], Table]
 
     def pose(self, frame: int) -> Pose:
-        """Where everything is. Raises SceneError for a camera or light that cannot be."""
+        """Pose everything. Raises SceneError for a camera or light that cannot be."""
         known: dict[int, F64] = {}
         motions = [self._motion(group, frame, known) for group in range(len(self.groups))]
         scene = self.scene
         camera = scene.camera if self.camera is None else self.make_camera(self.camera.at(frame))
         lights, materials = scene.lights, scene.materials
-        if any(light.tracks for light in self.lights):
+        if any(light.keyframes for light in self.lights):
             lights = light_table([self.first_lights, *(self._light(light, frame) for light in self.lights)])
         if self.materials:
             materials = materials.copy()

@@ -1,4 +1,4 @@
-"""From what pydantic says of a scene file to one sentence: file, line, key, what came, what was wanted."""
+"""Turns pydantic's errors about a scene file into one sentence: file, line, key, what came, what was wanted."""
 
 from __future__ import annotations
 
