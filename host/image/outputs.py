@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import IO, BinaryIO, NamedTuple
 
 from raygrid.host.files.input_guard import STANDARD, check_kept
-from raygrid.host.files.part_files import whole_file
+from raygrid.host.files.part_files import replacing
 from raygrid.host.text.misuse import OutputMisuse
 from raygrid.host.text.tables import folded
 from raygrid.node.errors import OutputError
@@ -173,7 +173,7 @@ def write_whole(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
             with open(target, "wb", opener=_open_device) as file:
                 write(file)
             return
-        with whole_file(target) as (_, file):
+        with replacing(target) as (_, file):
             write(file)
     except OSError as error:
         raise OutputError(f"{path}: the file cannot be written ({error.strerror or error})") from None
