@@ -38,7 +38,6 @@ TESTED_ELSEWHERE: dict[str, dict[str, str]] = {
         "emulator.simulator.event_loop": "emulator/simulator/test_simulator.py",
     },
     "it is what a neighbour of it is made of, and its rules show there": {
-        "node.geometry.quaternion": "node/geometry/test_bvh_refit.py",
         "node.geometry.rigid_motion": "node/geometry/test_bvh_refit.py",
         "node.geometry.spanning_tree": "emulator/driver/test_flood.py",
         "node.geometry.surfaces": "node/protocol/test_messages.py",
