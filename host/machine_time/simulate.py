@@ -1,4 +1,4 @@
-"""Simulate a frame of a scene on an array, in machine time."""
+"""Simulates a frame of a scene on an array, in machine time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Watch = Callable[[str, int, int], None]
 class Simulated:
     """A simulated frame.
 
-    model     who holds and bears what
+    model     which node holds what, and whose samples start there
     search    list or tree
     frames    of each level that was asked for, "middle" among them: what happened while tracing; only that of "middle"
               has the nodes' books, since those of an array take half a kilobyte a node

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.node.errors import ProtocolError
-from raygrid.node.geometry.quaternion import products, turns
+from raygrid.node.geometry.quaternion import quaternion_products, rotation_matrices
 from raygrid.node.geometry.surfaces import STORED_AS, AddedKind, AnyKind, Batch, Kind
 
 F64 = NDArray[np.float64]
@@ -109,13 +109,13 @@ def _turned(matrices: F64, vectors: F64) -> F64:
 def moved_rows(kind: AnyKind, data: F64, motions: F64) -> F64:
     """Rows of a batch's data, float64, after a motion each (n, MOTION); of polygons, rows of points."""
     matrices, scale, shift = (
-        turns(motions[:, :4]),
+        rotation_matrices(motions[:, :4]),
         motions[:, MOTION_SCALE : MOTION_SCALE + 1],
         motions[:, MOTION_SHIFT:],
     )
     result = data.copy()
     if kind == AddedKind.PROGRAMMED:
-        result[:, :4] = products(motions[:, :4], data[:, :4])
+        result[:, :4] = quaternion_products(motions[:, :4], data[:, :4])
         result[:, MOTION_SCALE] = data[:, MOTION_SCALE] * motions[:, MOTION_SCALE]
         result[:, MOTION_SHIFT:MOTION] = _turned(matrices, data[:, MOTION_SHIFT:MOTION]) * scale + shift
         return result

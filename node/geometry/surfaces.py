@@ -28,7 +28,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.node.geometry.quaternion import turns
+from raygrid.node.geometry.quaternion import rotation_matrices
 
 F64 = NDArray[np.float64]
 
@@ -169,7 +169,7 @@ def _cone_bounds(data: F64) -> F64:
 
 def _own_bounds(data: F64) -> F64:
     """The box of a turned box: along each axis it reaches as far as its three half edges together."""
-    axes = np.abs(turns(data[:, :4])) * (data[:, OWN_HALF : OWN_HALF + 3] * data[:, 4:5])[:, None, :]
+    axes = np.abs(rotation_matrices(data[:, :4])) * (data[:, OWN_HALF : OWN_HALF + 3] * data[:, 4:5])[:, None, :]
     reach = axes[:, :, 0] + axes[:, :, 1] + axes[:, :, 2]
     return np.stack((data[:, 5:8] - reach, data[:, 5:8] + reach), axis=1)
 

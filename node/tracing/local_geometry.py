@@ -33,7 +33,7 @@ from raygrid.node.geometry.intersect import (
     POLY_DROP,
 )
 from raygrid.node.geometry.lattice import SLACK, Cell
-from raygrid.node.geometry.quaternion import turns
+from raygrid.node.geometry.quaternion import rotation_matrices
 from raygrid.node.geometry.surface_tables import KIND_SHIFT, Surfaces
 from raygrid.node.geometry.surfaces import STORED_AS, STRIDE, AddedKind, AnyKind, Batch, Kind, SurfaceSet
 from raygrid.node.jit.decorators import kernel
@@ -246,5 +246,5 @@ def _tables(held: dict[AnyKind, Batch]) -> tuple[Any, ...]:
 
 def programmed_table(data: F64) -> F64:
     """Columns of programmed surfaces, float64 (n, OWN_COLUMNS), from their numbers."""
-    matrices = turns(data[:, :4]).reshape(-1, 9)
+    matrices = rotation_matrices(data[:, :4]).reshape(-1, 9)
     return np.ascontiguousarray(np.concatenate((matrices, data[:, 4:]), axis=1))
