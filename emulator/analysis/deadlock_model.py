@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from raygrid.emulator.analysis.single_step import SingleStep
 from raygrid.emulator.topology.bounds import growth_of
-from raygrid.emulator.topology.topology import Index, indices
+from raygrid.emulator.topology.coordinates import Index, beyond, indices
 from raygrid.node.errors import ArrayError, SceneError
 from raygrid.node.geometry import OPPOSITE, PORTS, SELF, Space, SurfaceSet
 from raygrid.node.protocol import BORN, DIED, PRIMARY, RETURN, Frame, PacketKind
@@ -214,7 +214,7 @@ class NaiveMachine:
 
     def _behind(self, index: Index, port: int) -> deque[bytes]:
         """The buffer at the other end of a link."""
-        return self._nodes[_neighbour(index, port)].inputs[OPPOSITE[port]]
+        return self._nodes[beyond(index, port)].inputs[OPPOSITE[port]]
 
     # --- who waits for whom --------------------------------------------------------------------------
 
@@ -228,7 +228,7 @@ class NaiveMachine:
             node = first
             while self._is_blocked(node) and node.index not in chain:
                 chain.append(node.index)
-                node = self._nodes[_neighbour(node.index, node.held[0][0])]
+                node = self._nodes[beyond(node.index, node.held[0][0])]
             if node.index in chain:
                 return [self._waiting(self._nodes[index]) for index in chain[chain.index(node.index) :]]
         return []
@@ -237,7 +237,7 @@ class NaiveMachine:
         port = node.held[0][0]
         ahead = Counter(PacketKind(packet[0] & 7).name.lower() for packet in self._behind(node.index, port))
         queued = [len(queue) for queue in node.inputs]
-        return Waiting(node.index, port, _neighbour(node.index, port), len(node.held), dict(ahead), queued)
+        return Waiting(node.index, port, beyond(node.index, port), len(node.held), dict(ahead), queued)
 
 
 def surely_free(frame: Frame, room: int) -> int:
@@ -247,9 +247,3 @@ def surely_free(frame: Frame, room: int) -> int:
 
 def _by_kind(counts: NDArray[np.int64], first: int) -> dict[str, int]:
     return {PacketKind(kind).name.lower(): int(counts[first + kind]) for kind in range(PRIMARY, RETURN + 1)}
-
-
-def _neighbour(index: Index, port: int) -> Index:
-    there = list(index)
-    there[port >> 1] += 1 if port & 1 else -1
-    return there[0], there[1], there[2]

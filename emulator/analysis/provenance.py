@@ -15,7 +15,7 @@ import numpy as np
 
 from raygrid.emulator.analysis.requery import begin, carries_home, find_hit, sees_outside
 from raygrid.emulator.analysis.single_step import Served, SingleStep, Units
-from raygrid.emulator.topology.topology import Index
+from raygrid.emulator.topology.coordinates import Index, beyond
 from raygrid.node.errors import ArrayError, SceneError
 from raygrid.node.geometry import DEPTH, HALF, OPPOSITE, PORTS, SELF, Space, SurfaceSet
 from raygrid.node.protocol import (
@@ -261,9 +261,7 @@ def _over(index: Index, output: int) -> tuple[Index, int]:
     """Where a packet on this output arrives, and by which port."""
     if output >= PORTS:
         return index, SELF
-    there = list(index)
-    there[output >> 1] += 1 if output & 1 else -1
-    return (there[0], there[1], there[2]), OPPOSITE[output]
+    return beyond(index, output), OPPOSITE[output]
 
 
 def _vector(values: Iterable[float]) -> Vector:

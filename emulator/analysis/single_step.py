@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.emulator.driver.memory_array import MemoryArray
+from raygrid.emulator.topology.coordinates import Index
 from raygrid.emulator.topology.limits import read_resources
-from raygrid.emulator.topology.topology import Index
 from raygrid.node.errors import TooLarge
 from raygrid.node.geometry import DEPTH, Space, SurfaceSet
 from raygrid.node.protocol import COUNTS, HEAD, SIZE, Frame, frame_order

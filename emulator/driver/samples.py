@@ -7,7 +7,7 @@ import struct
 from dataclasses import dataclass
 from typing import Any
 
-from raygrid.emulator.topology.socket_directory import Index
+from raygrid.emulator.topology.coordinates import Index, name_of
 from raygrid.node.errors import ProtocolError
 from raygrid.node.geometry import HOST
 from raygrid.node.protocol import BORN, COUNTS, DIED, HITS, KINDS, SENT, WALKS, PacketKind
@@ -109,7 +109,7 @@ def read_sample(node: Index, words: dict[str, Any]) -> NodeSample:
             dropped=_whole(words["dropped"]),
         )
     except (KeyError, TypeError, ValueError) as error:
-        raise ProtocolError(f"node {','.join(map(str, node))} said a sample that is none: {error}") from None
+        raise ProtocolError(f"node {name_of(node)} said a sample that is none: {error}") from None
 
 
 def _counts(raw: Any) -> tuple[int, ...]:

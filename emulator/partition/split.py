@@ -16,20 +16,20 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from raygrid.emulator.topology.coordinates import Index
 from raygrid.node.errors import ArrayError
 from raygrid.node.geometry import HALF, LATTICE, THINNEST_CELL, AddedKind, Space, SurfaceSet, World, make_space
 from raygrid.node.protocol import Frame
 
 F64 = NDArray[np.float64]
 Line = NDArray[np.int64]
-Index = tuple[int, int, int]
 SPLITS = ("balanced", "uniform")
 SLICES = 4096  # resolution of a measure along an axis
 SPACE_SHARE = 0.1  # of every measure, spread evenly over the world box: empty space is walked too
 GRID = 48  # planes to choose from on an axis
 MOST_CELLS = 16  # on an axis, for which planes are searched
 # Fewer primary and first shadow rays are traced in less time than a pilot costs a process that has just started: 0.03 s
-# and 0.05 s to load its kernels, part of it while the nursery warms up beside it.
+# and 0.05 s to load its kernels, part of it while the fork server warms up beside it.
 WORTHWHILE = 1 << 18
 
 

@@ -1,4 +1,4 @@
-"""The kinds of kernels, and the words in which the nursery tells a front end of them."""
+"""The kinds of kernels, and the words in which the fork server tells a front end of them."""
 
 from __future__ import annotations
 

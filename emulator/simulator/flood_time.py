@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.emulator.simulator.shared_tables import described, described_meets
-from raygrid.node.geometry import HALF, HOST, SLACK, Space, SurfaceSet, corners
+from raygrid.emulator.topology.topology import nearest_corners
+from raygrid.node.geometry import HALF, HOST, SLACK, Space, SurfaceSet
 from raygrid.node.jit import kernel
 from raygrid.node.protocol import SENT, SIZE, Prices
 
@@ -35,11 +36,7 @@ class Flooded(NamedTuple):
 def flood(space: Space, surfaces: SurfaceSet, prices: Prices, description: int) -> Flooded:
     """Flood surfaces (`shared_tables.ordered`). `description`: ticks that a node takes to look at one."""
     every = described(surfaces)
-    several = [any(corner >> axis & 1 for corner in corners(space.shape)) for axis in range(3)]
-    middles = every.boxes.mean(axis=1)
-    corner_of: Long = np.zeros(len(surfaces), np.int64)
-    for axis in range(3):
-        corner_of |= ((middles[:, axis] >= 0.0) & several[axis]).astype(np.int64) << axis
+    corner_of = nearest_corners(every.boxes.mean(axis=1), space.shape)
     busy = np.zeros(space.shape[0] * space.shape[1] * space.shape[2], np.int64)
     planes = (space.planes - HALF).astype(np.float64) * np.array(space.step)[:, None]
     hand_on = int(prices.counts[SENT])

@@ -1,3 +1,6 @@
+from .coordinates import Index as Index
+from .coordinates import indices as indices
+from .coordinates import name_of as name_of
 from .limits import parse_shape as parse_shape
 from .limits import read_memory as read_memory
 from .socket_directory import LONGEST_PATH as LONGEST_PATH
@@ -5,4 +8,3 @@ from .socket_directory import STATES as STATES
 from .socket_directory import SocketDirectory as SocketDirectory
 from .socket_directory import process_mark as process_mark
 from .socket_directory import process_state as process_state
-from .topology import indices as indices

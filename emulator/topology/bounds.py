@@ -2,7 +2,7 @@
 
 Trees. A primary ray, with all that descends from it, is a tree; the tree is alive while any packet of it is. The
 driver lets homes bear primaries so that never more trees are alive than the budget, or than there are homes if these
-are more (`driver._quota` says why).
+are more (`driver.admission.next_quota` says why).
 
 Packets of a tree. A ray of depth d that hits something dies and bears at most one shadow ray a light, and at most
 `branches` rays of depth d + 1 if d is below the frame's depth. A shadow ray, or a ray that leaves the scene, dies

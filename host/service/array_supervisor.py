@@ -56,7 +56,7 @@ class ArraySupervisor:
             self._array = Array(self.shape, **self._options)
             self._array.on_wait = self._on_wait  # a first run compiles for a minute, and may be given up
             self._array.begin()
-            # What a frame needs takes a second to import; the nursery warms up beside it.
+            # What a frame needs takes a second to import; the fork server warms up beside it.
 
             self._array.wait_ready()
             self._array.on_wait = None

@@ -60,7 +60,7 @@ class ArrayService:
         self._home, self._place = home, place
         self._loop = asyncio.get_running_loop()
         self.worker = Worker(options, self._post)
-        self.worker.start()  # first of all: the nursery warms up while the rest is made ready
+        self.worker.start()  # first of all: the fork server warms up while the rest is made ready
         self.jobs = Jobs(*open_journal(options.journal), home.keep)
         self.answers = Answers(self)
         self.door = Listener(place.path, self.answers.answer)

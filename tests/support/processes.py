@@ -29,7 +29,8 @@ from typing import Any, NamedTuple
 import psutil
 import pytest
 
-from raygrid.emulator.processes.fork_server_client import ForkServerClient, ProcessEnded
+from raygrid.emulator.processes.fork_server_client import ForkServerClient
+from raygrid.emulator.processes.process_ended import ProcessEnded
 from raygrid.emulator.topology import socket_directory
 from raygrid.node.errors import ArrayError
 
@@ -121,7 +122,7 @@ class Gate:
 
 @pytest.fixture
 def gate(no_leftovers: str) -> Iterator[Gate]:
-    """A gate, and the stand-in programs made importable for the nursery."""
+    """A gate, and the stand-in programs made importable for the fork server."""
     made = Gate(no_leftovers)
     yield made
     made.close()
@@ -226,7 +227,7 @@ def warm_badly(report: Callable[[int, int, str], None]) -> None:
 
 
 def warm_with_few_processes(report: Callable[[int, int, str], None]) -> None:
-    """Let the third fork of the nursery fail, as at the limit of processes."""
+    """Let the third fork of the fork server fail, as at the limit of processes."""
     fork, left = os.fork, iter((True, True))
 
     def fork_twice() -> int:
@@ -243,31 +244,31 @@ def warm_with_few_processes(report: Callable[[int, int, str], None]) -> None:
 FRONT_END = """
 import os, select, signal, sys
 from raygrid.emulator.processes.fork_server_client import ForkServerClient
-from raygrid.emulator.topology.socket_directory import Place
+from raygrid.emulator.topology.socket_directory import SocketDirectory
 path, warm, how = sys.argv[1:]
-with Place.create((3, 1, 1)) as place:
+with SocketDirectory.create((3, 1, 1)) as place:
     program = dict(program="support.processes", warm="support.processes:" + warm)
-    nursery = ForkServerClient.start(directory=place.path, **program)
-    print(place.path, nursery.pid, flush=True)
+    fork_server = ForkServerClient.start(directory=place.path, **program)
+    print(place.path, fork_server.pid, flush=True)
     if how == "ignores children":
         signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     if warm == "warm_for_ever":
-        while not nursery.read_events():
-            select.select([nursery], [], [])
+        while not fork_server.read_events():
+            select.select([fork_server], [], [])
         print("stuck", flush=True)
         signal.pause()
-    nursery.launch([{"index": [n, 0, 0], "gate": path, "then": "wait"} for n in range(3)])
+    fork_server.launch([{"index": [n, 0, 0], "gate": path, "then": "wait"} for n in range(3)])
     if how == "has a fork":
         os.fork()
     if how in ("has a fork", "waits"):
         signal.pause()
     if how == "ends":
-        nursery.end()
+        fork_server.end()
     if how == "polls":
-        with nursery:
+        with fork_server:
             while True:
-                select.select([nursery], [], [])
-                nursery.read_events()
+                select.select([fork_server], [], [])
+                fork_server.read_events()
 """
 
 

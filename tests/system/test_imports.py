@@ -62,7 +62,7 @@ def test_nothing_heavy_is_imported_unasked(program, absent):
     assert not absent & set(run.stdout.split())
 
 
-def test_the_nursery_is_started_before_anything_heavy_is_imported():
+def test_the_fork_server_is_started_before_anything_heavy_is_imported():
     look = """
 import sys
 from raygrid.emulator.processes.array import Array

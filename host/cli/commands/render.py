@@ -1,6 +1,6 @@
 """The command `raygrid render`.
 
-What is heavy to import (numba comes with it) is imported after the nursery was started, which imports the same beside it.
+What is heavy to import (numba comes with it) is imported after the fork server was started, which imports the same beside it.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from PIL import Image, PngImagePlugin
 from support.cli import here, one_line, warm_kernels
 from support.render import SCENES
 
-from raygrid.emulator.driver.driver import Progress
+from raygrid.emulator.driver.admission import Progress
 from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.host.cli.commands.frames import as_ranges
 from raygrid.host.cli.progress import ProgressReporter
