@@ -1,20 +1,20 @@
-"""The naive machine: finite buffers and no admission, to see how and why it jams.
+"""Models the naive machine, with finite buffers and no admission, to see how and why it deadlocks.
 
 The nodes run the machine's own ray step, one packet a turn, in one process and in a fixed order, so the same frame always
-jams in the same way. What differs from raygrid is only what is said here:
+deadlocks in the same way. What differs from raygrid is only what is said here:
 
 - Each link has, each way, a buffer of `room` packets at its receiving end, and nothing more.
-- A node serves its inputs in turn: each port's buffer first in first out, what was born in it and starts in it, and its
+- A node serves its inputs in turn: each port's buffer first in first out, what was made in it and starts in it, and its
   next primary ray. What its step puts out it must place before it takes anything else. It waits ("blocks") as long
   as the buffer of the next packet to be placed is full.
-- What a node has born to itself waits in memory without a bound, so that no node ever waits for itself: every jam seen
-  here is one of links.
+- What a node has made for itself waits in memory without a bound, so that no node ever waits for itself: every deadlock
+  seen here is one of links.
 - Without admission a primary ray is born whenever its turn comes. With admission only while fewer than `budget` primary
   rays have living descendants in the whole array.
 
 A blocked node waits for exactly one neighbour, so from any node that can never go on a chain of waiting leads into a
 cycle. Packets of all trees alive are at most `budget` times what a tree can have alive at once (`emulator.topology.bounds`); if
-that is not above `room`, no buffer can ever be full, no node blocks, and no jam is possible.
+that is not above `room`, no buffer can ever be full, no node blocks, and no deadlock is possible.
 """
 
 from __future__ import annotations
@@ -182,7 +182,7 @@ class NaiveMachine:
     def _next_primary(self, node: _Node) -> bytes | None:
         if node.exhausted or (self._budget is not None and len(self._alive) >= self._budget):
             return None
-        packet = self._steps.bear_next(node.index)
+        packet = self._steps.emit_next(node.index)
         if packet is None:
             node.exhausted = True
             return None

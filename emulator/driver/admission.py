@@ -42,15 +42,15 @@ class Progress:
 
 
 def next_quota(budget: int, now: Progress, before: Progress | None, allowed: int) -> int:
-    """How many primaries each home may bear next, if it may not bear more than that already.
+    """How many primaries each home may emit next, if it may not bear more than that already.
 
     What a wave counts is no picture of one moment: a packet may be counted dead where it died and not yet born where
     it was born. But every death of the wave before last was counted before any birth of the last one, so births now
     less deaths before are at least the packets in flight between the two waves, and each primary whose tree of rays
-    is still alive is one of them or has a descendant there. With the primaries that homes may still bear, that is
+    is still alive is one of them or has a descendant there. With the primaries that homes may still emit, that is
     all that can become alive without a further order; what is left of the budget is shared out. So the primaries
     whose trees are alive are never more than the budget, or than the homes if there are more of these: where nothing
-    is in flight each home may bear one.
+    is in flight each home may emit one.
     """
     in_flight = sum(now.born) - (sum(before.died) if before is not None else 0)
     if now.homes_left == 0:

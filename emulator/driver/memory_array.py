@@ -1,4 +1,4 @@
-"""The array inside one process: the same processors and links over queues in memory. For tests and comparison."""
+"""Runs an array inside one process: the same processors and links over queues in memory. For tests and comparison."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Samples of probes as the host reads them: checked, and with names."""
+"""Reads the samples of probes: checks them, and gives them names."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class NodeSample:
 
 
 def read_sample(node: Index, words: dict[str, Any]) -> NodeSample:
-    """A sample of what a node said on its line. Raises ProtocolError unless it is one."""
+    """A sample of what a node said on its control channel. Raises ProtocolError unless it is one."""
     try:
         counts = _counts(words["counts"])
         phase = words["phase"]

@@ -1,8 +1,8 @@
-"""What each cell of an array would have to do, counted from a pilot of rays; and the planes for which that is least.
+"""Counts from a sampling pre-pass what each cell of an array would have to do, and finds the planes for which that is least.
 
-The pilot's rays are walked through a fine grid of possible planes. The work of a cell is a sum over
+The pre-pass' rays are walked through a fine grid of possible planes. The work of a cell is a sum over
 
-    voxels   work done at a place: rays born and walked there, boxes opened, hits shaded, samples taken in
+    voxels   work done at a place: rays emitted and walked there, boxes opened, hits shaded, samples taken in
     faces    rays and return packets that cross a plane, each a walk or a hop more in the cell that they enter
 
 and with running sums over both (Crow, "Summed-area tables for texture mapping", SIGGRAPH 1984), the work of any box
@@ -82,7 +82,7 @@ class CostGrid(NamedTuple):
 
 
 def count_work(prepass: SamplingPrepass, grid: Space, weights: Weights | None = None) -> CostGrid:
-    """Running sums of the pilot's work over a grid of planes."""
+    """Running sums of the pre-pass' work over a grid of planes."""
     weights = weights or Weights()
     nx, ny, nz = grid.shape
     work = CostGrid(np.zeros((nx + 1, ny + 1, nz + 1)), np.zeros((3, 2, nx + 1, ny + 1, nz + 1)))
@@ -332,5 +332,5 @@ def from_cache_only() -> Iterator[None]:
 
 
 def is_cached() -> bool:
-    """Whether kernels of a pilot were ever compiled in this state of the sources (a look at names of files only)."""
+    """Whether kernels of a pre-pass were ever compiled in this state of the sources (a look at names of files only)."""
     return is_on_disk(_count_work)

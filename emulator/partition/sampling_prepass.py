@@ -1,4 +1,4 @@
-"""A quick pilot of rays: what a frame's rays will do, before any array traces them.
+"""Samples what a frame's rays will do, before any array traces them: a quick pre-pass.
 
 A coarse grid of the picture's rays is traced to full depth through the whole scene in one cell, by the nodes' own step
 and hierarchy, and of each ray and shadow ray is kept where it begins, its direction, and how far it goes.
@@ -56,7 +56,7 @@ from raygrid.node.tracing.step import step
 
 F64 = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
-ACROSS = 48  # pilot rays along a side of the picture
+ACROSS = 48  # rays of the pre-pass along a side of the picture
 MOST_RAYS = 200_000  # rays followed, whatever lights and mirrors there are
 CHUNK = 8192  # packets in a call
 ROOM = 65_536  # packets that an output holds
@@ -68,7 +68,7 @@ T_END, IS_PRIMARY, SHADED, RETURNS, FACTS = 3, 4, 5, 6, 7
 
 
 class PrepassRays(NamedTuple):
-    """Rays of a pilot, shadow rays among them.
+    """Rays of a pre-pass, shadow rays among them.
 
     origins  int64 (n, 3), lattice; homes int64 (n, 3), where the primary ray of the sample begins
     facts    float64 (n, FACTS): direction; T_END, the ray crosses planes up to this time; whether it is a primary
@@ -86,7 +86,7 @@ class SamplingPrepass(NamedTuple):
     surfaces  the hierarchy of the whole scene, or of a part that stands for it
     boxes     of these surfaces, float64 (n, 2, 3); each stands for `each` of the scene
     step      of the lattice, on each axis
-    share     samples of the frame for each one of the pilot
+    share     samples of the frame for each one of the pre-pass
     """
 
     rays: PrepassRays

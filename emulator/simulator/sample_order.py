@@ -1,4 +1,4 @@
-"""Which node bears which samples, in which order: of a whole frame at once, for the simulator.
+"""Orders the samples of a whole frame by the nodes that emit them, for the simulator.
 
 The same order as `node.tracing.primaries`, where every home goes over its own part of the picture.
 """
@@ -49,7 +49,7 @@ def _deal(frame, homes, places, order):
 
 
 def order_of_samples(frame: Frame, space: Space) -> tuple[NDArray[np.uint32], Long]:
-    """(samples uint32, borders int64 (nodes + 1,)): node k bears samples borders[k] to borders[k + 1] - 1, in order."""
+    """(samples uint32, borders int64 (nodes + 1,)): node k emits samples borders[k] to borders[k + 1] - 1, in order."""
     homes = np.empty(frame.width * frame.height * frame.samples, np.int32)
     _homes(frame, space, homes)
     nodes = space.shape[0] * space.shape[1] * space.shape[2]

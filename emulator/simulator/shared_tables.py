@@ -1,4 +1,4 @@
-"""What each of very many cells holds, worked out at once: for the simulator, whose nodes share one process.
+"""Works out at once what each of very many cells holds: for the simulator, whose nodes share one process.
 
 The rule is that of the flood (`node.geometry.overlap`): a cell holds the surfaces that meet it. Only the cells that a surface's
 box reaches are looked at, so empty cells cost nothing.

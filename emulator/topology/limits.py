@@ -1,4 +1,4 @@
-"""Whether an array fits this computer: descriptors, processes and memory, before anything is started.
+"""Checks whether an array fits this computer: descriptors, processes and memory, before anything is started.
 
 What an array needs of each is a fixed part and a part for each node. What there is comes from the process limits,
 the kernel's own limits, /proc/meminfo and the control groups (version 1 and 2), whichever leaves least.
