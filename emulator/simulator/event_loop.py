@@ -143,13 +143,13 @@ class Simulation(NamedTuple):
 def _enter(wheel, nodes, k, tick):
     """Put node k, which has no place in the wheel, into the stretch of `tick`."""
     nodes[k, WAKE] = tick
-    stretch = min(tick >> wheel.shift, wheel.state[0].now + len(wheel.firsts) - 1) & (len(wheel.firsts) - 1)
+    stretch = min(tick >> wheel.shift, wheel.state[0]["now"] + len(wheel.firsts) - 1) & (len(wheel.firsts) - 1)
     after = wheel.firsts[stretch]
     nodes[k, WAKE_BEFORE], nodes[k, WAKE_AFTER] = -1 - stretch, after
     if after >= 0:
         nodes[after, WAKE_BEFORE] = k
     wheel.firsts[stretch] = k
-    wheel.state[0].in_wheel += 1
+    wheel.state[0]["in_wheel"] += 1
 
 
 @part
@@ -163,7 +163,7 @@ def _leave(wheel, nodes, k):
     if after >= 0:
         nodes[after, WAKE_BEFORE] = before
     nodes[k, WAKE] = -1
-    wheel.state[0].in_wheel -= 1
+    wheel.state[0]["in_wheel"] -= 1
 
 
 @part
@@ -182,14 +182,14 @@ def _wake(sim, k, tick):
 def _count_time(sim, row, begin, end):
     """One more from tick `begin` on, one fewer from `end` on."""
     watch, wheel = sim.watch, sim.wheel
-    while end >> wheel.state[0].bin_shift >= BINS:
-        wheel.state[0].bin_shift += 1
+    while end >> wheel.state[0]["bin_shift"] >= BINS:
+        wheel.state[0]["bin_shift"] += 1
         for line in range(3):
             for k in range(BINS // 2):
                 watch.bins[line, k] = watch.bins[line, 2 * k] + watch.bins[line, 2 * k + 1]
             watch.bins[line, BINS // 2 :] = 0
-    watch.bins[row, begin >> wheel.state[0].bin_shift] += 1
-    watch.bins[row, end >> wheel.state[0].bin_shift] -= 1
+    watch.bins[row, begin >> wheel.state[0]["bin_shift"]] += 1
+    watch.bins[row, end >> wheel.state[0]["bin_shift"]] -= 1
 
 
 @part
@@ -263,7 +263,7 @@ def _deliver(sim, k, done, hops, handed_on):
             tick = arrival(timed, k, port, done, nth, sim.prices)
             nth += 1
             if port == HOST:
-                sim.wheel.state[0].host_tick = max(sim.wheel.state[0].host_tick, tick)
+                sim.wheel.state[0]["host_tick"] = max(sim.wheel.state[0]["host_tick"], tick)
                 continue
             stride = 1 if port < 2 else (nx if port < 4 else nxy)
             to = k + stride if port & 1 else k - stride
@@ -305,21 +305,21 @@ def run(sim, most):
     """Carry out events until nothing is left to do (DONE), the store is full (NO_ROOM) or `most` are done (TURN)."""
     timed, wheel = sim.timed, sim.wheel
     need = sim.frame.n_lights + 4
-    stop = wheel.state[0].events + most
-    while wheel.state[0].in_wheel > 0:
-        stretch = wheel.state[0].now
+    stop = wheel.state[0]["events"] + most
+    while wheel.state[0]["in_wheel"] > 0:
+        stretch = wheel.state[0]["now"]
         while wheel.firsts[stretch & (len(wheel.firsts) - 1)] < 0:
             stretch += 1
-        wheel.state[0].now = stretch
+        wheel.state[0]["now"] = stretch
         k = wheel.firsts[stretch & (len(wheel.firsts) - 1)]
         end = (stretch + 1) << wheel.shift
         tick = timed.nodes[k, WAKE]
-        if tick < end and (timed.spare[1] < need or wheel.state[0].events >= stop):
+        if tick < end and (timed.spare[1] < need or wheel.state[0]["events"] >= stop):
             return NO_ROOM if timed.spare[1] < need else TURN
         _leave(wheel, timed.nodes, k)
         cell = cell_of(sim.space, k)
         while tick < end and timed.spare[1] >= need:
-            wheel.state[0].events += 1
+            wheel.state[0]["events"] += 1
             gather(timed, k, tick)
             if timed.nodes[k, PACKETS_WAITING] > 0:
                 here = held_by(sim.surfaces, sim.roots[k, 0], sim.roots[k, 1])
