@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import settings
 from support.cases import steady
+from support.order import place_of
 from support.processes import MARK, Leftovers, no_leftovers
 
 __all__ = ["no_leftovers"]  # for the single tests of files that start processes
@@ -23,7 +24,8 @@ settings.load_profile("steady")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Give every test a time limit that fits it, unless it names its own."""
+    """Let the files of `support_order` begin first; give every test a time limit that fits it, unless it names its own."""
+    items.sort(key=lambda item: place_of(item.path.stem))
     for item in items:
         if item.get_closest_marker("timeout") is None:
             slow = item.get_closest_marker("slow") is not None

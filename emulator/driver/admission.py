@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypedDict
 
-from raygrid.node.protocol import BORN, DIED, KINDS, PRIMARY
+from raygrid.node.protocol import BORN, DIED, KINDS, PRIMARY, TraceCommand
 from raygrid.node.runtime import HOMES_LEFT
 
 # seconds that a node waits for more packets: so long for every node that a processor of this computer carries, once more
 # for so many packets under way; at most
-LINGER, PACKETS_A_LINGER, LONGEST_LINGER = 0.0002, 1 << 19, 0.016
-GATHER = 0.25  # part of the mean share of packets that it waits for
+BACK_OFF, PACKETS_A_BACK_OFF, LONGEST_BACK_OFF = 0.0002, 1 << 19, 0.016
+BATCH_SHARE = 0.25  # part of the mean share of packets that it waits for
 EAGER_FLUSH, CROWDED_FLUSH = 256, 4096  # packets for which a node with work sends an output
 LEAST_SHARE = 256  # packets a node below which nobody waits
 
@@ -60,17 +59,8 @@ def next_quota(budget: int, now: Progress, before: Progress | None, allowed: int
     return max(0, budget - in_flight - allowed) // now.homes_left
 
 
-class Batching(TypedDict):
-    """How many packets a node should gather before it serves a batch, for how many seconds it may wait for them, and for
-    how many it sends an output while it has work. Fields of the order `trace`."""
-
-    gather: int
-    linger: float
-    flush: int
-
-
-def batching(in_flight: int, nodes: int, processors: int) -> Batching:
-    """How nodes should batch with so many packets in flight, on a computer with so many processors.
+def batching(in_flight: int, nodes: int, processors: int) -> TraceCommand:
+    """How many packets are worth a batch, and how long a node may wait for them, on a computer with so many processors.
 
     With more nodes than processors of this computer, a node that wakes for every message does little but wake.
     A node waits for a part of the mean share, so some node always has enough; the tail of a pass waits for nothing.
@@ -78,6 +68,8 @@ def batching(in_flight: int, nodes: int, processors: int) -> Batching:
     """
     share = in_flight // nodes
     if nodes <= processors or share < LEAST_SHARE:
-        return {"gather": 0, "linger": 0.0, "flush": EAGER_FLUSH}
-    linger = LINGER * nodes / processors * (1.0 + in_flight / PACKETS_A_LINGER)
-    return {"gather": int(share * GATHER), "linger": min(LONGEST_LINGER, linger), "flush": CROWDED_FLUSH}
+        return TraceCommand(0, flush=EAGER_FLUSH)
+    back_off = BACK_OFF * nodes / processors * (1.0 + in_flight / PACKETS_A_BACK_OFF)
+    return TraceCommand(
+        0, batch_threshold=int(share * BATCH_SHARE), back_off=min(LONGEST_BACK_OFF, back_off), flush=CROWDED_FLUSH
+    )

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from raygrid.node.protocol import (
     PIXEL,
     Frame,
     MessageKind,
+    TraceCommand,
     check_packets,
     frame_order,
     pack_surfaces,
@@ -76,9 +78,7 @@ class Driver:
         self._wave_number = 0
         self._answer: dict[str, Any] | None = None
         self._collected: Collected | None = None  # what comes of the pass that is being collected
-        self.held: HeldSurfaces | None = (
-            None  # the frame of a shot that the nodes hold; None: it is not known, or does not move
-        )
+        self.held: HeldSurfaces | None = None  # by the nodes together; None: nothing whole
         self.program: Program | None = None  # what the nodes run
         self.waves = 0
         self.most_in_flight = 0
@@ -95,7 +95,7 @@ class Driver:
                 link.grant()
             elif arrival.kind == MessageKind.UP and corner == 0:
                 self._answer = read_order(arrival.message)
-            elif arrival.kind == MessageKind.TALLIED and corner == 0:
+            elif arrival.kind == MessageKind.REDUCED and corner == 0:
                 number, sums = read_reply(arrival.message)
                 self._answer = {"wave": number, "sums": sums.tobytes()}
             else:
@@ -108,25 +108,26 @@ class Driver:
             raise ProtocolError(f"{count} pixel packets came, but no frame is being collected")
         self._collected.take(message, count)
 
-    def wave(self, order: dict[str, Any]) -> dict[str, Any]:
-        """Send an order over the array and wait for the answer of all. Raises Stuck, ProtocolError, LostProcess."""
+    def wave(self, command: TraceCommand | dict[str, Any]) -> dict[str, Any]:
+        """Send a command over the array and wait for the answer of all. Raises Stuck, ProtocolError, LostProcess."""
+        order = command.as_map() if isinstance(command, TraceCommand) else command
         if not self._answered:  # the caller gave up waiting for the last one
             self._wait(lambda: self._answer is not None, "the order before came back")
         self._wave_number += 1
         self.waves += 1
         self._answer, self._answered = None, False
-        reduction_state = pack_request(self._wave_number, order) if order["do"] == "trace" else None
-        if reduction_state is None:
+        request = pack_request(self._wave_number, command) if isinstance(command, TraceCommand) else None
+        if request is None:
             self.links[0].send_order(MessageKind.DOWN, {**order, "wave": self._wave_number})
         else:
-            self.links[0].send_words(MessageKind.TALLY, reduction_state)
+            self.links[0].send_payload(MessageKind.REDUCE, request)
         self._wait(lambda: self._answer is not None, f"the order {order['do']!r} came back")
         self._answered = True
         answer: dict[str, Any] = self._answer  # type: ignore[assignment]
         sums = answer["sums"] = read_sums(answer).tolist()
         if answer.get("wave") != self._wave_number:
             raise ProtocolError(f"wave {self._wave_number} ({order['do']}) came back as another one")
-        if sums[REFUSED] and reduction_state is not None:  # which says how often, and another wave why
+        if sums[REFUSED] and request is not None:  # which says how often, and another wave why
             return self.wave({"do": "loaded"})
         if sums[REFUSED]:
             raise Garbled(f"{sums[REFUSED]} times a node refused what came: " + "; ".join(answer["refusals"]))
@@ -212,11 +213,11 @@ class Driver:
             self.patience = patience
         self.program = program
 
-    def load(self, space: Space, surfaces: SurfaceSet, moves: Moves | None = None) -> None:
+    def load(self, space: Space, surfaces: SurfaceSet, moves: Moves | None = None, key: str = "") -> None:
         """Deal surfaces (machine coordinates) over the corners, and wait until every node has built its tables.
 
-        `moves`: of some surfaces, which then are given at rest, the groups and where these are. Raises SceneError for
-        motions that are not finite, or by which a surface leaves the world box.
+        `moves`: of some surfaces, which then are given at rest, the groups and where these are. `key`: by which it is known
+        again (`HeldSurfaces`). Raises SceneError for motions that are not finite, or by which a surface leaves the world box.
         """
         self.held = None
         if moves is not None:
@@ -237,16 +238,16 @@ class Driver:
         self._wait_arrived(dealt, -1)
         self.wave({"do": "build"})
         self._quiet = True
-        self.held = None if moves is None else HeldSurfaces(space, surfaces, moves, dealt)
+        self.held = HeldSurfaces(space, surfaces, moves, dealt, key)
 
-    def move(self, moves: Moves) -> bool:
+    def move(self, moves: Moves, key: str = "") -> bool:
         """Bring the surfaces of the last load to where `moves` has them, by telling nodes only what has changed.
 
         Returns whether that was more than nothing. Raises SceneError as `load` does, and then the nodes hold what they
         held; ArrayError without a load of the same groups before.
         """
         held, self.held = self.held, None
-        if held is None or held.moves.groups is not moves.groups:
+        if held is None or held.moves is None or held.moves.groups is not moves.groups:
             raise ArrayError("an increment came without a load of the same groups before it")
         try:
             order = increment(held, moves)
@@ -260,7 +261,7 @@ class Driver:
             self._wait_arrived(held.dealt, self.wave({"do": "hand"})["sums"][SUM_RECEIVED])
             self.wave({"do": "build"})
             self._quiet = True
-        self.held = held._replace(moves=moves)
+        self.held = held._replace(moves=moves, key=key)
         return order is not None
 
     def _look_up(self) -> None:
@@ -313,9 +314,8 @@ class Driver:
                 raise Stuck(self._why_stuck(now))
             quota = next_quota(budget, now, before, answer["sums"][ALLOWED])
             before = now
-            answer = self.wave(
-                {"do": "trace", "quota": quota, "hold": hold, **batching(now.in_flight, self.nodes, self._processors)}
-            )
+            command = batching(now.in_flight, self.nodes, self._processors)
+            answer = self.wave(replace(command, quota=quota, hold=hold))
 
     def _why_stuck(self, now: Progress) -> str:
         waiting = [f"{name_of(node['index'])} holds {node['waiting']}" for node in self.report() if node["waiting"]]
@@ -331,16 +331,17 @@ class Driver:
         """
         self._quiet = False
         self._collected = collected = into or Collected(pixels)
-        order: dict[str, Any] = {"do": "collect"}
+        hold = HOLD + 0.001 * self.nodes
+        command: TraceCommand | dict[str, Any] = {"do": "collect", "hold": hold}
         since = time.monotonic()
         while True:
-            sums = self.wave({**order, "hold": HOLD + 0.001 * self.nodes})["sums"]
+            sums = self.wave(command)["sums"]
             born, died = sums[BORN + PIXEL], sums[DIED + PIXEL]
             if sums[COLLECTING] == 0 and sums[SUM_WAITING] == 0 and born == died:
                 break
             if time.monotonic() - since > self.patience + pixels / 1e4:
                 raise Stuck(f"{born} pixel packets were born and {died} reached a corner")
-            order = {"do": "trace", "quota": 0, "flush": EAGER_FLUSH}
+            command = TraceCommand(0, hold, flush=EAGER_FLUSH)
         self._wait(lambda: collected.received >= born, "all pixel packets are here")
         if collected.received != born:
             raise Garbled(f"{collected.received} pixel packets came, {born} were born")

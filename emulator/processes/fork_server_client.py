@@ -44,7 +44,7 @@ from raygrid.emulator.processes.fork_server_protocol import (
 from raygrid.emulator.processes.process_ended import ProcessEnded, how_ended
 from raygrid.emulator.processes.stderr_log import StderrLog
 from raygrid.emulator.topology.coordinates import Index
-from raygrid.emulator.topology.socket_directory import process_state
+from raygrid.emulator.topology.process_stat import process_state
 from raygrid.node.errors import ArrayError, LostProcess
 
 LOOK_SECONDS = 0.25  # between two looks at whether it runs, while something is expected of it

@@ -13,7 +13,7 @@ from raygrid.emulator.processes.fork_server_client import LOOK_SECONDS, ForkServ
 from raygrid.emulator.processes.node_messages import EpochBegun, NodeMessage, read_node_message
 from raygrid.emulator.processes.process_ended import ProcessEnded
 from raygrid.emulator.topology.coordinates import Index, name_of
-from raygrid.emulator.topology.socket_directory import STATES, process_state
+from raygrid.emulator.topology.process_stat import STATES, process_state
 from raygrid.emulator.topology.wiring import Config, reset_order
 from raygrid.node.errors import LostProcess
 

@@ -84,7 +84,8 @@ def beside_ray(step, p, d, tries):
 
     Rounding p would put the ray up to 0.87 steps aside, but a step along itself changes nothing of what it sees. So of
     the next `tries` points (at most MOST_TRIES) at which one coordinate lies on the lattice, the one is taken whose
-    others miss it least. This is the definition; `node.tracing.spawn` and `node.tracing.primary_rays` work it out for eight rays at once.
+    others miss it least. This is the definition; `node.tracing.spawn` and `node.tracing.primary_rays` work it
+    out for eight rays at once.
     """
     x, y, z = p[0] / step[0], p[1] / step[1], p[2] / step[2]
     u, v, w = d[0] / step[0], d[1] / step[1], d[2] / step[2]

@@ -22,8 +22,8 @@ intensity  binary32, finite and not negative
 home       cell of the sample's home, so that no node on the way has to work it out again
 sum        of fixed-point intensities (`node.tracing.framebuffer`); a pixel may come in several packets
 
-Rounding to the wire is defined here; `node.tracing.spawn` and `node.tracing.primary_rays` do it for eight rays at once, byte for byte the same
-(tests compare them). A ray is rounded when it is born (law 4).
+Rounding to the wire is defined here; `node.tracing.spawn` and `node.tracing.primary_rays` do it for eight rays at once, byte for
+byte the same (tests compare them). A ray is rounded when it is born (law 4).
 Byte positions (`at`) are offsets into flat uint8 arrays.
 """
 

@@ -1,7 +1,7 @@
 """Where a step writes: packets that are handed on, births, returns to their homes, intensities that are at home here.
 
-Births and returns are noted first and written many at once (`node.tracing.spawn`, `node.tracing.primary_rays`): `write_all_noted` must be the
-end of a step.
+Births and returns are noted first and written many at once (`node.tracing.spawn`, `node.tracing.primary_rays`): `write_all_noted`
+must be the end of a step.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False

@@ -53,7 +53,8 @@ class RaySetup(NamedTuple):
     nears    int64 (3 * SETUP_RAYS,), words of a node at which each axis' near planes begin (`traverse.for_boxes`)
     ways     int64 (SETUP_RAYS,), exit ports, or NOT_AT_START
     lists    int64 (LISTS * ROOM,), numbers of rays (`node.tracing.ray_classify`)
-    roots    int64 (SETUP_RAYS * WIDE,), keys of the root's boxes that each ray meets (`node.geometry.bvh_simd`); met  int64 (SETUP_RAYS,), how many
+    roots    int64 (SETUP_RAYS * WIDE,), keys of the root's boxes that each ray meets (`node.geometry.bvh_simd`)
+    met      int64 (SETUP_RAYS,), how many
     """
 
     words: NDArray[np.int64]

@@ -48,7 +48,8 @@ SPAWN_WORD, SPAWN_BEHIND, SPAWN_WORDS = 0, 4, 5
 class SpawnBatch(NamedTuple):
     """Births that are noted: shadow rays, then other rays, a column each; flat.
 
-    facts  float64 (SPAWN_BATCHES * SPAWN_FACTS * SPAWN_ROOM,); words  int64 (SPAWN_BATCHES * SPAWN_WORDS * SPAWN_ROOM,); held  int64 (SPAWN_BATCHES,)
+    facts  float64 (SPAWN_BATCHES * SPAWN_FACTS * SPAWN_ROOM,); words  int64 (SPAWN_BATCHES * SPAWN_WORDS * SPAWN_ROOM,)
+    held   int64 (SPAWN_BATCHES,)
     """
 
     facts: NDArray[np.float64]

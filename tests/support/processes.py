@@ -248,27 +248,27 @@ from raygrid.emulator.topology.socket_directory import SocketDirectory
 path, warm, how = sys.argv[1:]
 with SocketDirectory.create((3, 1, 1)) as place:
     program = dict(program="support.processes", warm="support.processes:" + warm)
-    fork_server = ForkServerClient.start(directory=place.path, **program)
-    print(place.path, fork_server.pid, flush=True)
+    server = ForkServerClient.start(directory=place.path, **program)
+    print(place.path, server.pid, flush=True)
     if how == "ignores children":
         signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     if warm == "warm_for_ever":
-        while not fork_server.read_events():
-            select.select([fork_server], [], [])
+        while not server.read_events():
+            select.select([server], [], [])
         print("stuck", flush=True)
         signal.pause()
-    fork_server.launch([{"index": [n, 0, 0], "gate": path, "then": "wait"} for n in range(3)])
+    server.launch([{"index": [n, 0, 0], "gate": path, "then": "wait"} for n in range(3)])
     if how == "has a fork":
         os.fork()
     if how in ("has a fork", "waits"):
         signal.pause()
     if how == "ends":
-        fork_server.end()
+        server.end()
     if how == "polls":
-        with fork_server:
+        with server:
             while True:
-                select.select([fork_server], [], [])
-                fork_server.read_events()
+                select.select([server], [], [])
+                server.read_events()
 """
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
+import functools
 import json
 import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -106,6 +109,10 @@ class SmallKernels:
         """What is kept."""
         return sorted(self.cache.glob(f"kernels-*/*/*.{suffix}"))
 
+    def keep_compiled(self) -> None:
+        """Hold what is compiled of them, as if they had run once here: that is done once and copied."""
+        _compiled_once().copy_to(self)
+
     def copy_to(self, other: SmallKernels) -> None:
         """Let another cache hold what this one does; where files are kept depends on where the module is."""
         for directory in self.cache.glob("kernels-*/*"):
@@ -121,3 +128,12 @@ class SmallKernels:
         from numba.core.caching import UserProvidedCacheLocator
 
         return str(UserProvidedCacheLocator.get_suitable_cache_subpath(str(self._folder / "small.py")))
+
+
+@functools.cache
+def _compiled_once() -> SmallKernels:
+    folder = Path(tempfile.mkdtemp(prefix="small-kernels-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    small = SmallKernels(folder)
+    small.run()
+    return small

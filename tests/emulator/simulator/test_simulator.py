@@ -6,10 +6,10 @@ import json
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from support import paths
 from support.cli import here, one_line
 from support.frames import make_frame, orthographic
 from support.render import SCENES
@@ -167,7 +167,7 @@ def test_flood_visits_the_nodes_that_the_flood_of_the_emulator_does():
     array = MemoryArray((3, 3, 3))
     array.driver.ready()
     array.driver.load(job.space, job.surfaces)
-    assert flooded.visits == sum(processor._received for processor in array.processors)
+    assert flooded.visits == sum(processor.flood.received for processor in array.processors)
     assert flooded.ticks > 0
 
 
@@ -235,7 +235,7 @@ def test_what_is_held_against_memory_is_what_is_taken():
 
     In a process of its own: one that has freed memory before takes that again, and its peak hardly rises.
     """
-    command = [sys.executable, "-c", TAKEN, str(Path(__file__).parent)]
+    command = [sys.executable, "-c", TAKEN, str(paths.ROOT / "tests")]
     run = subprocess.run(command, capture_output=True, text=True, timeout=280)
     assert run.returncode == 0, run.stderr
     taken, nodes = int(run.stdout.split()[-1]), 60**3

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
+from support import paths
 from support.cli import TINY, here, one_line, warm_kernels
 from support.render import SCENES
 
@@ -36,7 +37,7 @@ def scene(tmp_path, monkeypatch):
     Path("base.nff").write_text(Path(TINY).read_text())
     Path("scene.toml").write_text('include = "base.nff"\n[[meshes]]\nfile = "spot.obj"\n[shot]\nframes = 3\n')
     shutil.copy(SCENES / "programs" / "marble.py", "marble.py")
-    Path("price.toml").write_text((Path(__file__).parent.parent / "emulator" / "costs" / "unit.toml").read_text())
+    Path("price.toml").write_text((paths.ROOT / "emulator" / "costs" / "unit.toml").read_text())
     Path("probes.jsonl").write_text(RECORDING)
     os.symlink("spot.png", "link.png")
     os.link("spot.png", "hard.png")

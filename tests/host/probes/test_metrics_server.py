@@ -107,6 +107,27 @@ def test_idle_visitors_have_few_threads_and_keep_nobody_from_the_figures():
     assert threading.active_count() == before
 
 
+def test_who_comes_before_a_crowd_has_gone_waits_for_a_place(monkeypatch):
+    """No idle visit ends before the one for the figures has come: it was sent away."""
+    gate, hang_up, visit = threading.Event(), metrics_server._hang_up, metrics_server._Server.process_request_thread
+
+    def late(server, *arguments):
+        gate.wait(20.0)
+        visit(server, *arguments)
+
+    with Endpoint(empty, 0) as endpoint:
+
+        def watched(request):
+            hang_up(request)
+            if len(endpoint._server._visits) == 2 * MOST_VISITS:
+                gate.set()
+
+        monkeypatch.setattr(metrics_server._Server, "process_request_thread", late)
+        monkeypatch.setattr(metrics_server, "_hang_up", watched)
+        with idle(endpoint, 2 * MOST_VISITS):
+            assert "raygrid_nodes 0.0" in scraped(endpoint)
+
+
 def test_a_visitor_that_is_too_slow_is_let_go(monkeypatch):
     monkeypatch.setattr(metrics_server, "VISIT_SECONDS", 0.1)
     with Endpoint(empty, 0) as endpoint, idle(endpoint, 1) as (peer,):

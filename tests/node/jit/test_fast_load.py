@@ -29,6 +29,14 @@ def run(tmp_path):
     return lambda *arguments, **variables: small.run(*arguments, **variables)[0]
 
 
+@pytest.fixture
+def run_again(tmp_path):
+    """The same, where the small kernels have run before."""
+    small = SmallKernels(tmp_path)
+    small.keep_compiled()
+    return lambda *arguments, **variables: small.run(*arguments, **variables)[0]
+
+
 def test_this_numba_is_one_of_which_kernels_are_loaded_alone():
     assert can_load_alone()
 
@@ -47,25 +55,22 @@ def test_what_a_loaded_kernel_raises_is_told(run):
     assert run("told(-values)", AN_ERROR) == {"result": wanted, "ready": 0, "compiled": []}
 
 
-def test_kernels_are_compiled_after_others_were_loaded_and_call_them(run):
-    run()
-    again = run(f"{BOTH}, small.later(values), small.third(values)")
+def test_kernels_are_compiled_after_others_were_loaded_and_call_them(run_again):
+    again = run_again(f"{BOTH}, small.later(values), small.third(values)")
     assert again["result"] == [*WANTED, 27.0, 3.0]
     assert again["compiled"] == ["later", "third"]
-    assert run("small.later(values)") == {"result": [27.0], "ready": 0, "compiled": []}
+    assert run_again("small.later(values)") == {"result": [27.0], "ready": 0, "compiled": []}
 
 
-def test_other_types_are_compiled_and_the_first_are_still_there(run):
-    run()
-    again = run("small.total(values), small.total(values.astype(np.float32)), small.total(values)")
+def test_other_types_are_compiled_and_the_first_are_still_there(run_again):
+    again = run_again("small.total(values), small.total(values.astype(np.float32)), small.total(values)")
     assert again["result"] == [12.0, 12.0, 12.0]
     assert "total" in again["compiled"]
 
 
-def test_a_name_without_address_makes_the_compiler_ready(run):
-    before = "from raygrid.node import kernel_load\nkernel_load.binding.address_of_symbol = lambda name: None"
-    run()
-    again = run(before=before)
+def test_a_name_without_address_makes_the_compiler_ready(run_again):
+    before = "from raygrid.node.jit import fast_load\nfast_load.binding.address_of_symbol = lambda name: None"
+    again = run_again(before=before)
     assert (again["result"], again["compiled"]) == (WANTED, [])
     assert again["ready"] > 0
 
@@ -83,14 +88,14 @@ def test_a_name_without_address_makes_the_compiler_ready(run):
     ],
     ids=["another load_overload", "another _rebuild"],
 )
-def test_of_another_numba_kernels_are_cached_by_numba_alone(run, before):
-    run()  # what is kept for the one is nothing to the other
-    first, second = run(before=before), run(before=before)
+def test_of_another_numba_kernels_are_cached_by_numba_alone(run_again, before):
+    # what is kept for the one is nothing to the other
+    first, second = run_again(before=before), run_again(before=before)
     assert first["result"] == second["result"] == WANTED
     assert first["compiled"]
     assert not second["compiled"]
     assert second["ready"] > 0
-    assert run() == {"result": WANTED, "ready": 0, "compiled": []}
+    assert run_again() == {"result": WANTED, "ready": 0, "compiled": []}
 
 
 def test_runtime_statistics_are_left_to_numba(run):
