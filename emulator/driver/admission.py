@@ -1,4 +1,4 @@
-"""Decides how many primary rays nodes admit next, and how many packets they gather before they serve a batch."""
+"""Decides how many primary rays nodes admit next, and how many packets make a batch."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Progress:
 
 
 def next_quota(budget: int, now: Progress, before: Progress | None, allowed: int) -> int:
-    """How many primaries each home may emit next, if it may not bear more than that already.
+    """How many primaries each home may emit next, if it may not spawn more than that already.
 
     What a wave counts is no picture of one moment: a packet may be counted dead where it died and not yet born where
     it was born. But every death of the wave before last was counted before any birth of the last one, so births now

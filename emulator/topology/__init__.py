@@ -1,4 +1,4 @@
-"""Says which processors there are, how they are wired, where their sockets lie, and what a computer can hold.
+"""Says which processors there are, how they are linked, where their sockets lie, and what a computer can hold.
 
 What it gives to other layers is listed in `__init__.pyi`; each name is loaded when it is first used.
 """

@@ -1,4 +1,4 @@
-"""Wires the processors of an array: neighbours to each other, the host to the corners, surfaces to the nearest corner."""
+"""Connects the processors of an array: neighbours to each other, the host to the corners, surfaces to the nearest corner."""
 
 from __future__ import annotations
 

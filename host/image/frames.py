@@ -163,7 +163,7 @@ class FrameNames:
                 yield path_of(self.stats, frame)
 
 
-class _Shot(Protocol):
+class _Animated(Protocol):
     @property
     def frames(self) -> int: ...
 
@@ -172,7 +172,7 @@ class _Scene(Protocol):
     @property
     def name(self) -> str: ...
     @property
-    def shot(self) -> _Shot | None: ...
+    def shot(self) -> _Animated | None: ...
 
 
 def longest_number(frames: Ends | None) -> int:

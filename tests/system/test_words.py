@@ -22,7 +22,7 @@ RETIRED = {
     "untold": "to notify",
     "wires wired": "native links",
     "lend lent": "native links, link state",
-    "fork server": "fork server",
+    "nursery": "fork server",
     "crew": "node processes",
     "pilot": "sampling pre-pass",
     "enquiry": "look-ahead request",
@@ -48,6 +48,12 @@ KEPT: dict[tuple[str, str], str] = {
     ("emulator.processes.array", "linger"): "ZeroMQ's word",
     ("node.links.zmq_channel", "linger"): "ZeroMQ's word",
     ("node.main", "linger"): "ZeroMQ's word",
+    ("emulator.simulator.sample_order", "order"): "the order of samples, not a command",
+    ("host.scene.formats.nff_words", "words"): "the words of an NFF file",
+    ("host.service.answers", "answers"): "what the service sends back to a client is called so in docs/service.md",
+    ("host.service.events", "ready"): "the state that users read in `raygrid status`",
+    ("host.service.listener", "backlog"): "asyncio's word",
+    ("host.service.schedule", "turns"): "clients take turns",
 }
 # Words that are still in a module. They may only go.
 LEFT: dict[str, str] = {

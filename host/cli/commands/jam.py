@@ -69,7 +69,7 @@ def run_jam(request: JamRequest) -> None:
         "",
         f"with admission, never more than {_many(budget, 'primary ray')} alive:",
         *_outcome_lines(admitted),
-        _promise(budget, free),
+        _guarantee(budget, free),
     ]
     write_lines(lines)
 
@@ -111,7 +111,7 @@ def _wait(node: Waiting) -> str:
     )
 
 
-def _promise(budget: int, free: int) -> str:
+def _guarantee(budget: int, free: int) -> str:
     if budget <= free:
         return f"  it cannot jam: the packets of {_many(free, 'tree')} of rays never fill a buffer"
     if free == 0:
