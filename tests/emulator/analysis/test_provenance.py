@@ -241,7 +241,7 @@ def test_an_array_too_large_for_memory_is_refused_before_the_work():
 
 def test_a_step_and_a_look_that_disagree_are_an_error(monkeypatch):
     job = job_of(TINY, ONE, size=(13, 11))
-    real = provenance.look
+    real = provenance.find_hit
     monkeypatch.setattr(provenance, "find_hit", lambda *args: (-1, *real(*args)[1:]))
     with pytest.raises(ArrayError, match="ended otherwise than its surfaces say"):
         tracing(job).pixel(6, 5)
