@@ -1,4 +1,4 @@
-"""Rotation matrices of unit quaternions, element by element (`node.geometry.rigid_motion` says why)."""
+"""Makes rotation matrices of unit quaternions, and products, element by element (`node.geometry.rigid_motion` says why)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 F64 = NDArray[np.float64]
 
 
-def turns(quaternions: F64) -> F64:
+def rotation_matrices(quaternions: F64) -> F64:
     """The rotation matrices of quaternions w, x, y, z (n, 4), float64 (n, 3, 3)."""
     w, x, y, z = (quaternions[:, k] for k in range(4))
     rows = (
@@ -20,7 +20,7 @@ def turns(quaternions: F64) -> F64:
 
 
 def products(second: F64, first: F64) -> F64:
-    """Quaternions (n, 4) that turn by the first, then by the second, of length 1."""
+    """Quaternions (n, 4) that rotate by the first, then by the second, of length 1."""
     a, b = (tuple(q[:, k] for k in range(4)) for q in (second, first))
     product = np.stack(
         (

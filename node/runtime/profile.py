@@ -81,7 +81,7 @@ def _again(
     node_state: NodeState, packets: np.ndarray, ports: np.ndarray, first: int, last: int, what: int, counts: np.ndarray
 ) -> None:
     tables = node_state.cell, node_state.space, node_state.frame, node_state.surfaces
-    again(*tables, packets, ports, first, last, what, node_state.outputs.stack, node_state.outputs.ahead, counts)
+    again(*tables, packets, ports, first, last, what, node_state.outputs.stack, node_state.outputs.setup, counts)
 
 
 class Profile:

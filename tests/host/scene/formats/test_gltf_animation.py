@@ -12,7 +12,7 @@ from raygrid.host.scene.animation.animation import moved_point, quaternion
 from raygrid.host.scene.formats.gltf_animation import _quaternion
 from raygrid.host.scene.load import load_scene
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry.quaternion import turns
+from raygrid.node.geometry.quaternion import rotation_matrices
 
 
 class Maker:
@@ -54,7 +54,7 @@ def file():
 
 
 def test_a_child_moves_with_its_parents(file, tmp_path):
-    """Parent shifts, child turns a quarter about z; a third node stays."""
+    """Parent shifts, child rotation_matrices a quarter about z; a third node stays."""
     file.json["nodes"] = [
         {"name": "arm", "children": [1], "translation": [1, 0, 0]},
         {"name": "hand", "mesh": 0, "scale": [2, 1, 1]},
@@ -142,6 +142,6 @@ def test_wrong_animations_are_told(file, tmp_path, times, values, said):
 def test_rotation_matrices_become_quaternions():
     rng = np.random.default_rng(1)
     for degrees in [*rng.uniform(-180, 180, (200, 3)), [180, 0, 0], [0, 180, 0], [0, 0, 180], [120, 180, 0]]:
-        turn = turns(quaternion(degrees)[None])[0]
-        again = turns(_quaternion(turn)[None])[0]
+        turn = rotation_matrices(quaternion(degrees)[None])[0]
+        again = rotation_matrices(_quaternion(turn)[None])[0]
         assert np.allclose(turn, again, atol=1e-12)
