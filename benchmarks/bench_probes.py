@@ -16,6 +16,7 @@ import math
 import os
 import statistics
 import time
+from dataclasses import replace
 
 from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.emulator.processes.array import Array
@@ -43,7 +44,7 @@ def frames(array: Array, job: Job, rate: float, runs: int) -> dict[float, list[t
         now = (0.0, rate)[run % 2]
         array.probe(now, gauges.take)
         spent, before = time.process_time(), gauges.samples
-        picture = render_job(array.driver, job, loaded=run > 0)
+        picture = render_job(array.driver, replace(job, load_key="held"))
         seconds = picture.stats["wall_seconds"]
         if run:  # the first one loads, and warms up
             front = time.process_time() - spent

@@ -20,9 +20,11 @@ from raygrid.emulator.processes.array import WARM_SECONDS, Array
 from raygrid.emulator.processes.fork_server_client import ForkServerClient
 from raygrid.host.image.picture import Picture
 from raygrid.host.render.animation_jobs import AnimationJobs
+from raygrid.host.render.frame import Watch
 from raygrid.host.render.job import Job, Settings, make_job
 from raygrid.host.render.program_file import read_program
-from raygrid.host.render.retry import FaultReport, render_with_retries
+from raygrid.host.render.retry import FaultReport
+from raygrid.host.render.session import RenderSession
 from raygrid.host.scene.load import load_scene
 from raygrid.node.errors import RaygridError
 
@@ -102,7 +104,7 @@ class Strike:
             self.at = time.perf_counter()
 
     def watch(self, phase: str, progress: Any) -> None:
-        """Told by render_steadily."""
+        """Told by a render session."""
         self._seen += phase == "trace" and progress is not None
         if self.moment == phase != "trace" or (
             self.moment == "trace" and (self._seen >= self.nth or phase == "collect")
@@ -222,9 +224,14 @@ def struck_reset(array: Array, strike: Strike) -> Any:
         del array._hang_up  # type: ignore[method-assign]
 
 
-def render(array: Array, frame: Frame = SMALL, **options: Any) -> Picture:
+def render(
+    array: Array,
+    frame: Frame = SMALL,
+    watch: Watch | None = None,
+    on_fault: Callable[[FaultReport], None] | None = None,
+) -> Picture:
     """A frame of the campaign."""
-    return render_with_retries(array, job(array.shape, frame), frame.budget, attempts=ATTEMPTS, **options)
+    return RenderSession(array, ATTEMPTS, on_fault).render(job(array.shape, frame), frame.budget, watch)
 
 
 def judge(work: Callable[[], Picture], bed: Bed, frame: Frame = SMALL) -> Outcome:

@@ -15,7 +15,7 @@ import zmq
 from faults_bed import ATTEMPTS, BUDGET, Bed, Case, Outcome, job, right
 
 from raygrid.emulator.processes.array import Array
-from raygrid.host.render.retry import render_with_retries
+from raygrid.host.render.session import RenderSession
 from raygrid.node.errors import RaygridError
 from raygrid.node.links.faulty_channel import FAULT_KINDS, FaultPlan
 from raygrid.node.links.link import VERSION
@@ -51,7 +51,7 @@ def _bad_links(kind: str) -> Callable[[random.Random], list[Case]]:
 
 def _frame(array: Array, bed: Bed) -> Outcome:
     try:
-        picture = render_with_retries(array, job(bed.shape), BUDGET, attempts=ATTEMPTS)
+        picture = RenderSession(array, ATTEMPTS).render(job(bed.shape), BUDGET)
     except RaygridError as error:
         with contextlib.suppress(RaygridError):
             array.reset()

@@ -1,4 +1,4 @@
-"""Faults of processes for the campaign: nodes and the nursery killed, stopped, starved of memory or descriptors."""
+"""Faults of processes for the campaign: nodes and the fork server killed, stopped, starved of memory or descriptors."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def _fork_server(rng: random.Random) -> list[Case]:
         assert fork_server is not None
         os.kill(fork_server.pid, signal.SIGKILL)
 
-    return [_strike("nursery killed", rng.choice(MOMENTS[:4]), rng.randint(1, 4), act)]
+    return [_strike("fork server killed", rng.choice(MOMENTS[:4]), rng.randint(1, 4), act)]
 
 
 def _memory(rng: random.Random) -> list[Case]:
@@ -182,7 +182,7 @@ GROUPS = {
     "half of the nodes killed": _signals("SIGKILL of half", signal.SIGKILL, lambda nodes: nodes // 2),
     "all nodes stopped": _signals("SIGSTOP of all", signal.SIGSTOP, lambda nodes: nodes),
     "stopped and reset": _deaf,
-    "nursery killed": _fork_server,
+    "fork server killed": _fork_server,
     "memory of a node limited": _memory,
     "descriptors of a node used up": _descriptors,
     "rubbish on a corner link": _rubbish,

@@ -37,7 +37,8 @@ from faults_links import _babble, intruder
 
 from raygrid.emulator.driver.driver import Progress
 from raygrid.emulator.processes.array import Array
-from raygrid.host.render.retry import RECOVERABLE, render_with_retries
+from raygrid.host.render.retry import RECOVERABLE
+from raygrid.host.render.session import RenderSession
 from raygrid.node.errors import Garbled, ProtocolError
 from raygrid.node.geometry.grid_walk import HOST
 from raygrid.node.links.link import Link, LinkPhase
@@ -46,6 +47,7 @@ from raygrid.node.main import open_links
 from raygrid.node.protocol.frame_tables import frame_limits
 from raygrid.node.protocol.messages import CHECKSUM_FIELD, SUMMED, MessageKind, pack_message
 from raygrid.node.protocol.packets import SIZE, first_fault
+from raygrid.node.protocol.reset import NodeConfig
 from raygrid.node.runtime.processor import Processor
 
 SHAPE = (2, 2, 2)
@@ -84,7 +86,7 @@ class HostileArray(Array):
         assert self._context is not None
         for link in config["links"]:
             self._own[link["port"]] = ZmqChannel(self._context, link["endpoint"], link["bind"])
-        self.node = Processor(PLACE, SHAPE, open_links(config, self._own), self.batch)
+        self.node = Processor(PLACE, SHAPE, open_links(NodeConfig.of(config), self._own), self.batch)
 
     def hang_up_own(self) -> None:
         """Close the hostile node's links."""
@@ -331,7 +333,7 @@ def main() -> int:
         same_nodes = array.pids == pids
         array.hostile = False
         array.reset()
-        picture = render_with_retries(array, job(SHAPE))
+        picture = RenderSession(array).render(job(SHAPE))
         same_bits = right(picture, SHAPE)
     for what, count in sorted(fuzz.sent.items()):
         print(f"{what:24}{count:10}")

@@ -2,7 +2,7 @@
 
     python benchmarks/ready.py --array 2x2x2 --array 4x4x4 --runs 5
 
-`warm`: seconds from starting the nursery until its kernels are ready (loaded from the cache on disk, or compiled).
+`warm`: seconds from starting the fork server until its kernels are ready (loaded from the cache on disk, or compiled).
 `ready`: seconds from then until all nodes are forked and every link of every node is up. `end`: until all are gone.
 """
 

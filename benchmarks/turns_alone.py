@@ -27,7 +27,6 @@ from raygrid.host.render.job import Job, Settings, make_job
 from raygrid.host.scene.load import load_scene
 from raygrid.node.geometry.grid_walk import PORTS
 from raygrid.node.protocol.counters import SENT, WALKS
-from raygrid.node.runtime.event_loop import TUNE_AFTER
 from raygrid.node.tracing import work_queues
 
 Shape = tuple[int, int, int]
@@ -97,8 +96,8 @@ class Loaded:
         self.array.driver.ready()
         self.array.driver.load(job.space, job.surfaces)
         for processor in self.array.processors:
-            processor.node_state._go = self.turns.of(processor.node_state._go)
-            processor.node_state.tuning[TUNE_AFTER] = TURN
+            processor.node_state.run_loop = self.turns.of(processor.node_state.run_loop)
+            processor.node_state.tuning.batch_packets = TURN
         self.least, self.least_sorting = np.inf, np.inf
         self.calls = 0
 

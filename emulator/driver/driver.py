@@ -10,7 +10,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ from raygrid.node.protocol import (
     PRIMARY,
     Frame,
     MessageKind,
+    TraceCommand,
     check_packets,
     frame_order,
     pack_surfaces,
@@ -57,10 +58,10 @@ LOOKED_AT = 1 << 16  # surfaces that are dealt before somebody who gives the fra
 BUDGET = 1 << 20  # packets in flight below which primaries are admitted, and so the most primaries alive (`bounds`)
 PATIENCE = 30.0  # seconds without any progress after which the array is taken to hang
 HOLD = 0.02  # seconds for which a busy node may hold a wave, and a millisecond more for every node
-# seconds that a node naps for more packets: so long for every node that a processor of this computer carries, once more
+# seconds that a node waits for more packets: so long for every node that a processor of this computer carries, once more
 # for so many packets under way; at most
-LINGER, PACKETS_A_LINGER, LONGEST_LINGER = 0.0002, 1 << 19, 0.016
-GATHER = 0.25  # part of the mean share of packets that it waits for
+BACK_OFF, PACKETS_A_BACK_OFF, LONGEST_BACK_OFF = 0.0002, 1 << 19, 0.016
+BATCH_SHARE = 0.25  # part of the mean share of packets that it waits for
 EAGER_FLUSH, CROWDED_FLUSH = 256, 4096  # packets for which a node with work sends an output
 PROGRAM_SECONDS = 600.0  # one process compiles a program, which takes half a minute on an idle computer
 LEAST_SHARE = 256  # packets a node below which nobody waits
@@ -106,9 +107,7 @@ class Driver:
         self._wave_number = 0
         self._answer: dict[str, Any] | None = None
         self._collected: Collected | None = None  # what comes of the pass that is being collected
-        self.held: HeldSurfaces | None = (
-            None  # the frame of a shot that the nodes hold; None: it is not known, or does not move
-        )
+        self.held: HeldSurfaces | None = None  # by the nodes together; None: nothing whole
         self.program: Program | None = None  # what the nodes run
         self.waves = 0
         self.most_in_flight = 0
@@ -125,7 +124,7 @@ class Driver:
                 link.grant()
             elif arrival.kind == MessageKind.UP and corner == 0:
                 self._answer = read_order(arrival.message)
-            elif arrival.kind == MessageKind.TALLIED and corner == 0:
+            elif arrival.kind == MessageKind.REDUCED and corner == 0:
                 number, sums = read_reply(arrival.message)
                 self._answer = {"wave": number, "sums": sums.tobytes()}
             else:
@@ -138,25 +137,26 @@ class Driver:
             raise ProtocolError(f"{count} pixel packets came, but no frame is being collected")
         self._collected.take(message, count)
 
-    def wave(self, order: dict[str, Any]) -> dict[str, Any]:
-        """Send an order over the array and wait for the answer of all. Raises Stuck, ProtocolError, LostProcess."""
+    def wave(self, command: TraceCommand | dict[str, Any]) -> dict[str, Any]:
+        """Send a command over the array and wait for the answer of all. Raises Stuck, ProtocolError, LostProcess."""
+        order = command.as_map() if isinstance(command, TraceCommand) else command
         if not self._answered:  # the caller gave up waiting for the last one
             self._wait(lambda: self._answer is not None, "the order before came back")
         self._wave_number += 1
         self.waves += 1
         self._answer, self._answered = None, False
-        reduction_state = pack_request(self._wave_number, order) if order["do"] == "trace" else None
-        if reduction_state is None:
+        request = pack_request(self._wave_number, command) if isinstance(command, TraceCommand) else None
+        if request is None:
             self.links[0].send_order(MessageKind.DOWN, {**order, "wave": self._wave_number})
         else:
-            self.links[0].send_words(MessageKind.TALLY, reduction_state)
+            self.links[0].send_payload(MessageKind.REDUCE, request)
         self._wait(lambda: self._answer is not None, f"the order {order['do']!r} came back")
         self._answered = True
         answer: dict[str, Any] = self._answer  # type: ignore[assignment]
         sums = answer["sums"] = read_sums(answer).tolist()
         if answer.get("wave") != self._wave_number:
             raise ProtocolError(f"wave {self._wave_number} ({order['do']}) came back as another one")
-        if sums[REFUSED] and reduction_state is not None:  # which says how often, and another wave why
+        if sums[REFUSED] and request is not None:  # which says how often, and another wave why
             return self.wave({"do": "loaded"})
         if sums[REFUSED]:
             raise Garbled(f"{sums[REFUSED]} times a node refused what came: " + "; ".join(answer["refusals"]))
@@ -242,11 +242,11 @@ class Driver:
             self.patience = patience
         self.program = program
 
-    def load(self, space: Space, surfaces: SurfaceSet, moves: Moves | None = None) -> None:
+    def load(self, space: Space, surfaces: SurfaceSet, moves: Moves | None = None, key: str = "") -> None:
         """Deal surfaces (machine coordinates) over the corners, and wait until every node has built its tables.
 
-        `moves`: of some surfaces, which then are given at rest, the groups and where these are. Raises SceneError for
-        motions that are not finite, or by which a surface leaves the world box.
+        `moves`: of some surfaces, which then are given at rest, the groups and where these are. `key`: by which it is known
+        again (`HeldSurfaces`). Raises SceneError for motions that are not finite, or by which a surface leaves the world box.
         """
         self.held = None
         if moves is not None:
@@ -267,16 +267,16 @@ class Driver:
         self._wait_arrived(dealt, -1)
         self.wave({"do": "build"})
         self._quiet = True
-        self.held = None if moves is None else HeldSurfaces(space, surfaces, moves, dealt)
+        self.held = HeldSurfaces(space, surfaces, moves, dealt, key)
 
-    def move(self, moves: Moves) -> bool:
+    def move(self, moves: Moves, key: str = "") -> bool:
         """Bring the surfaces of the last load to where `moves` has them, by telling nodes only what has changed.
 
         Returns whether that was more than nothing. Raises SceneError as `load` does, and then the nodes hold what they
         held; ArrayError without a load of the same groups before.
         """
         held, self.held = self.held, None
-        if held is None or held.moves.groups is not moves.groups:
+        if held is None or held.moves is None or held.moves.groups is not moves.groups:
             raise ArrayError("an increment came without a load of the same groups before it")
         try:
             order = increment(held, moves)
@@ -290,7 +290,7 @@ class Driver:
             self._wait_arrived(held.dealt, self.wave({"do": "hand"})["sums"][SUM_RECEIVED])
             self.wave({"do": "build"})
             self._quiet = True
-        self.held = held._replace(moves=moves)
+        self.held = held._replace(moves=moves, key=key)
         return order is not None
 
     def _look_up(self) -> None:
@@ -343,10 +343,10 @@ class Driver:
                 raise Stuck(self._why_stuck(now))
             quota = _quota(budget, now, before, answer["sums"][ALLOWED])
             before = now
-            answer = self.wave({"do": "trace", "quota": quota, "hold": hold, **self._gathering(now)})
+            answer = self.wave(replace(self._tuning(now), quota=quota, hold=hold))
 
-    def _gathering(self, now: Progress) -> dict[str, Any]:
-        """How many packets a node should gather before it takes a turn, and how long it may wait for them.
+    def _tuning(self, now: Progress) -> TraceCommand:
+        """How many packets are worth a batch, and how long a node may wait for them.
 
         With more nodes than processors of this computer, a node that wakes for every message does little but wake.
         A node waits for a part of the mean share, so some node always has enough; the tail of a pass waits for nothing.
@@ -354,13 +354,11 @@ class Driver:
         """
         share = now.in_flight // self.nodes
         if self.nodes <= self._processors or share < LEAST_SHARE:
-            return {"gather": 0, "linger": 0.0, "flush": EAGER_FLUSH}
-        linger = LINGER * self.nodes / self._processors * (1.0 + now.in_flight / PACKETS_A_LINGER)
-        return {
-            "gather": int(share * GATHER),
-            "linger": min(LONGEST_LINGER, linger),
-            "flush": CROWDED_FLUSH,
-        }
+            return TraceCommand(0, flush=EAGER_FLUSH)
+        back_off = BACK_OFF * self.nodes / self._processors * (1.0 + now.in_flight / PACKETS_A_BACK_OFF)
+        return TraceCommand(
+            0, batch_threshold=int(share * BATCH_SHARE), back_off=min(LONGEST_BACK_OFF, back_off), flush=CROWDED_FLUSH
+        )
 
     def _why_stuck(self, now: Progress) -> str:
         waiting = [
@@ -378,16 +376,17 @@ class Driver:
         """
         self._quiet = False
         self._collected = collected = into or Collected(pixels)
-        order: dict[str, Any] = {"do": "collect"}
+        hold = HOLD + 0.001 * self.nodes
+        command: TraceCommand | dict[str, Any] = {"do": "collect", "hold": hold}
         since = time.monotonic()
         while True:
-            sums = self.wave({**order, "hold": HOLD + 0.001 * self.nodes})["sums"]
+            sums = self.wave(command)["sums"]
             born, died = sums[BORN + PIXEL], sums[DIED + PIXEL]
             if sums[COLLECTING] == 0 and sums[SUM_WAITING] == 0 and born == died:
                 break
             if time.monotonic() - since > self.patience + pixels / 1e4:
                 raise Stuck(f"{born} pixel packets were born and {died} reached a corner")
-            order = {"do": "trace", "quota": 0, "flush": EAGER_FLUSH}
+            command = TraceCommand(0, hold, flush=EAGER_FLUSH)
         self._wait(lambda: collected.received >= born, "all pixel packets are here")
         if collected.received != born:
             raise Garbled(f"{collected.received} pixel packets came, {born} were born")

@@ -17,21 +17,26 @@ from raygrid.node.runtime import check_inside
 
 
 class HeldSurfaces(NamedTuple):
-    """The frame of a shot that the nodes of an array hold together.
+    """What the nodes of an array hold together.
 
     surfaces  as they were dealt, those that move at rest
+    moves     where those are; None: nothing moves
     dealt     how many descriptions the host has sent since the world was new
+    key       by which whoever loaded knows it again: the same key, the same content; "" for none
     """
 
     space: Space
     surfaces: SurfaceSet
-    moves: Moves
+    moves: Moves | None
     dealt: int
+    key: str = ""
 
 
 def is_held(held: HeldSurfaces | None, space: Space, surfaces: SurfaceSet, moves: Moves | None) -> bool:
     """Whether an array that holds `held` needs increments only."""
-    if held is None or moves is None or held.surfaces is not surfaces or held.moves.groups is not moves.groups:
+    if held is None or moves is None or held.moves is None:
+        return False
+    if held.surfaces is not surfaces or held.moves.groups is not moves.groups:
         return False
     return held.space.step == space.step and np.array_equal(held.space.planes, space.planes)
 
@@ -58,6 +63,7 @@ def _check_inside(space: Space, batch: Batch) -> None:
 
 def increment(held: HeldSurfaces, moves: Moves) -> dict[str, Any] | None:
     """The order that brings the nodes from what they hold to `moves`; None if nothing moves. Raises SceneError."""
+    assert held.moves is not None
     if moves.motions.shape != held.moves.motions.shape:
         raise SceneError(f"{len(moves.motions)} motions came, wanted {len(held.moves.motions)}, one for each group")
     changed = (moves.motions != held.moves.motions).any(axis=1)

@@ -12,6 +12,7 @@ from raygrid.emulator.topology.topology import host_links, indices, neighbour_li
 from raygrid.node.geometry import HOST, corners
 from raygrid.node.links import Link, MemoryChannel, memory_channels
 from raygrid.node.main import open_links, processor_class
+from raygrid.node.protocol import NodeConfig
 from raygrid.node.runtime import Processor
 
 Order = Callable[[int], np.ndarray]
@@ -37,9 +38,8 @@ class MemoryArray:
         self._order = order
         self.processors: list[Processor] = []
         for index in indices(shape):
-            config = {"index": list(index), "machine": "memory", "epoch": 0, "timed": timed}
-            links = open_links(config, channels[index])
-            kind = processor_class(config)
+            links = open_links(NodeConfig(index, shape), channels[index])
+            kind = processor_class(timed)
             self.processors.append(kind(index, shape, links, batch, lambda: 0.0, programs))
         links_of_host: dict[int, Link] = host_links(shape, host_ends, "memory", 0)
         self.driver = Driver(shape, links_of_host, self._pump)

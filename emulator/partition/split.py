@@ -1,8 +1,9 @@
 """Where the planes between cells lie on each axis.
 
-`uniform` gives equal boxes, as in the paper. `balanced` estimates from a quick pilot of rays (`emulator.partition.sampling_prepass`) what
-each node would have to do, and searches for the planes by which the busiest has least (`emulator.partition.cost_grid`). The same
-scene, camera, settings and shape always give the same planes, and the picture is the same for any planes.
+`uniform` gives equal boxes, as in the paper. `balanced` estimates from a few sampled rays (`emulator.partition.sampling_prepass`)
+what each node would have to do, and searches for the planes by which the busiest has least
+(`emulator.partition.cost_grid`). The same scene, camera, settings and shape always give the same planes, and the picture is
+the same for any planes.
 
 Without a camera, for a very small picture, with surfaces of a program, or if no ray enters the world box, planes lie at
 quantiles of the surfaces: each slab between two planes has about as many as the next. Where an axis has more than

@@ -8,7 +8,6 @@ from __future__ import annotations
 import array
 import os
 import socket
-import struct
 from collections import deque
 from collections.abc import Sequence
 from typing import Any
@@ -16,10 +15,10 @@ from typing import Any
 import msgpack
 
 from raygrid.node.errors import ProtocolError
+from raygrid.node.protocol import Splitter, framed
 
 Message = dict[str, Any]
 
-LENGTH = struct.Struct("<I")
 LONGEST_MESSAGE = 1 << 28  # bytes
 MOST_DESCRIPTORS = 250  # in one message; the kernel takes at most 253
 INT_BYTES = array.array("i").itemsize
@@ -46,7 +45,7 @@ class ForkServerChannel:
         self.closed = False
         self.descriptors: list[int] = []
         self._out: deque[tuple[bytearray, list[int]]] = deque()
-        self._in = bytearray()
+        self._splitter = Splitter(_read, LONGEST_MESSAGE)
 
     @property
     def unsent(self) -> int:
@@ -63,7 +62,7 @@ class ForkServerChannel:
             raise ProtocolError(f"a message to or from the nursery has {len(body)} bytes, at most {LONGEST_MESSAGE}")
         if descriptors or not self._out or self._out[-1][1]:
             self._out.append((bytearray(), list(descriptors)))
-        self._out[-1][0].extend(LENGTH.pack(len(body)) + body)
+        self._out[-1][0].extend(framed(body))
         self.flush()
 
     def flush(self) -> None:
@@ -106,22 +105,13 @@ class ForkServerChannel:
             for _, _, data in rights:
                 self.descriptors.extend(array.array("i", data[: len(data) // INT_BYTES * INT_BYTES]))
             self.closed = not piece
-            self._in += piece
-        return self._whole_messages()
+            self._splitter.feed(piece)
+        return list(iter(self._splitter.next, None))
 
-    def _whole_messages(self) -> list[Message]:
-        messages: list[Message] = []
-        while len(self._in) >= LENGTH.size:
-            (length,) = LENGTH.unpack_from(self._in)
-            if length > LONGEST_MESSAGE:
-                raise ProtocolError(f"a message of {length} bytes came, wanted at most {LONGEST_MESSAGE}")
-            end = LENGTH.size + length
-            if len(self._in) < end:
-                break
-            # Lists come out as tuples: coordinates are then the same on both sides, and nobody changes a config.
-            message = msgpack.unpackb(self._in[LENGTH.size : end], use_list=False, strict_map_key=False)
-            del self._in[:end]
-            if not isinstance(message, dict):
-                raise ProtocolError(f"a message came as {type(message).__name__}, wanted a map")
-            messages.append(message)
-        return messages
+
+def _read(body: bytes) -> Message:
+    # Lists come out as tuples: coordinates are then the same on both sides, and nobody changes a config.
+    message = msgpack.unpackb(body, use_list=False, strict_map_key=False)
+    if not isinstance(message, dict):
+        raise ProtocolError(f"a message came as {type(message).__name__}, wanted a map")
+    return message

@@ -16,8 +16,8 @@ Commands and reports are maps on the socket FD (`emulator.processes.control`):
                                        {is: ended, pid, index, status}       status < 0: minus the signal
     {do: end}                          the socket closes when all nodes are reaped
 
-The descriptors are the host's ends of the lines to the nodes (`node.links.control_channel`), in the order of the configs: each node is
-forked with a socket pair of its own, so that only it and the host can speak on it.
+The descriptors are the host's ends of the lines to the nodes (`node.links.control_channel`), in the order of the configs: each
+node is forked with a socket pair of its own, so that only it and the host can speak on it.
 
 Nobody outlives the front end: when its process or the socket is gone, the nursery ends all nodes and itself. Nobody
 outlives the nursery: only it holds the write end of the `life` pipe, of which each node holds the read end and ends

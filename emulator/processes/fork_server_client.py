@@ -29,7 +29,8 @@ from typing import Any, NamedTuple, Self
 from raygrid.emulator.processes.control import ForkServerChannel, Message, close_all
 from raygrid.emulator.processes.fork_server import LAST_WAIT, open_pidfd
 from raygrid.emulator.processes.stderr_log import StderrLog
-from raygrid.emulator.topology.socket_directory import Index, process_state
+from raygrid.emulator.topology.process_stat import process_state
+from raygrid.emulator.topology.socket_directory import Index
 from raygrid.node.errors import ArrayError, LostProcess
 
 LOOK_SECONDS = 0.25  # between two looks at whether it runs, while something is expected of it

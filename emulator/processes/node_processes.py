@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from raygrid.emulator.processes.control_channels import ControlChannels, Words
 from raygrid.emulator.processes.fork_server import LAST_WAIT
 from raygrid.emulator.processes.fork_server_client import LOOK_SECONDS, ForkServerClient, ProcessEnded
-from raygrid.emulator.topology.socket_directory import STATES, Index, process_state
+from raygrid.emulator.topology.process_stat import STATES, process_state
+from raygrid.emulator.topology.socket_directory import Index
 from raygrid.emulator.topology.wiring import Config, reset_order
 from raygrid.node.errors import LostProcess
 

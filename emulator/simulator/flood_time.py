@@ -1,8 +1,9 @@
 """How long it takes to flood a scene into an array, in machine time.
 
 The host sends each description to the corner nearest to it, one after the other on each corner's link; a node looks
-at the descriptions in the order (tick, port, sequence) and hands each on along the tree of its corner (`node.geometry.spanning_tree`),
-only towards boxes of cells that the surface comes near. A description takes as long on a link as its bytes.
+at the descriptions in the order (tick, port, sequence) and hands each on along the tree of its corner
+(`node.geometry.spanning_tree`), only towards boxes of cells that the surface comes near. A description takes as
+long on a link as its bytes.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False

@@ -5,7 +5,7 @@ that cannot be guessed. An ipc path has at most 107 bytes, so it lies high up in
 that can be used, else in the temporary directory, else in /tmp.
 
 A front end that was killed cannot clean up. So each directory names its front end in the file `pid`, as process id,
-start time (field 22 of /proc/PID/stat) and process namespace, and the next front end removes what is stale. The
+start time and process namespace, and the next front end removes what is stale. The
 namespace is there because containers that share /tmp cannot see each other's processes and must not judge them.
 """
 
@@ -21,6 +21,7 @@ import time
 from contextlib import suppress
 from typing import Self
 
+from raygrid.emulator.topology.process_stat import pid_namespace, process_mark
 from raygrid.node.errors import ArrayError
 
 Index = tuple[int, int, int]
@@ -31,17 +32,6 @@ NAME = re.compile(f"{re.escape(PREFIX)}[0-9a-f]{{{2 * NAME_BYTES}}}")  # not a u
 PID_FILE = "pid"
 LONGEST_PATH = 107  # bytes; sun_path holds 108 with its closing zero
 LAST_EPOCH = 0xFFFF  # the epoch of a message header is a u16
-STATES = {  # of a process, by the kernel's letter; none: there is no such process
-    "R": "running",
-    "S": "waiting",
-    "D": "waiting for the kernel",
-    "T": "stopped",
-    "t": "stopped by a debugger",
-    "Z": "dead",
-    "X": "dead",
-    "": "dead",
-    "?": "not to be seen",
-}
 TOUCH_SECONDS = 3600.0  # cleaners remove what is days old
 UNSIGNED_AGE = 60.0  # seconds; a directory without a pid file may be one that is just being made
 
@@ -174,40 +164,6 @@ def sweep(base: str) -> list[str]:
     return swept
 
 
-def process_mark(pid: int) -> str | None:
-    """What tells process `pid` from all others: id, start time, namespace.
-
-    None if there is no such process, or one that has ended and whose parent has not asked how.
-    """
-    try:
-        with open(f"/proc/{pid}/stat", "rb") as file:
-            # The second field is the program's name in brackets, and may itself hold blanks and brackets.
-            fields = file.read().rpartition(b")")[2].split()
-        state, started = fields[0], fields[19].decode()
-    except (OSError, IndexError):
-        return None
-    return None if state in (b"Z", b"X") else f"{pid} {started} {_namespace()}"
-
-
-def process_state(pid: int) -> str:
-    """The state of a process as the kernel's letter: R, S, D, T, t or Z; "" if there is no such process, "?" if that cannot
-    be seen, as without descriptors."""
-    try:
-        with open(f"/proc/{pid}/stat", "rb") as file:
-            return file.read().rpartition(b")")[2].split()[0].decode()
-    except (FileNotFoundError, ProcessLookupError, IndexError):
-        return ""
-    except OSError:
-        return "?"
-
-
-def _namespace() -> str:
-    try:
-        return os.readlink("/proc/self/ns/pid")
-    except OSError:
-        return "unknown"
-
-
 def _is_stale(directory: str) -> bool:
     """Whether the front end that made `directory` is certainly dead."""
     try:
@@ -216,7 +172,7 @@ def _is_stale(directory: str) -> bool:
         pid, _, namespace = mark.split()
     except (OSError, ValueError):  # not there, or half written
         return _age(directory) > UNSIGNED_AGE
-    if namespace != _namespace() or not pid.isdigit():
+    if namespace != pid_namespace() or not pid.isdigit():
         return False
     return process_mark(int(pid)) != mark.strip()
 

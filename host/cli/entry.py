@@ -1,4 +1,4 @@
-"""Where the program begins: Ctrl-C before anything is imported ends it as quietly as later."""
+"""Begins the program: Ctrl-C before anything is imported ends it as quietly as later."""
 
 from __future__ import annotations
 

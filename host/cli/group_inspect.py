@@ -1,4 +1,4 @@
-"""The commands that look into the machine: trace, jam, probe."""
+"""Declares the commands that look into the machine: trace, jam, probe."""
 
 from __future__ import annotations
 
@@ -9,9 +9,17 @@ from typing import Any
 import click
 
 from raygrid.host.cli.group_service import ArrayNameType
-from raygrid.host.cli.types import AnyType, FileName, NumberType, PairType, ShapeType, outside_option, path_option
-
-Command = Callable[..., Any]
+from raygrid.host.cli.types import (
+    AnyType,
+    Command,
+    FileName,
+    NumberType,
+    PairType,
+    ShapeType,
+    outside_option,
+    path_option,
+)
+from raygrid.host.text.bounds import MAX_BUDGET, MAX_DEPTH, MAX_FRAMES, MAX_RATE, MAX_SAMPLES, MAX_WEIGHT
 
 TRACE_EXAMPLES = """\b
 Examples:
@@ -48,7 +56,7 @@ class PixelType(AnyType):
 
     name = "place"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
         """Raises a usage error for anything else."""
         numbers = str(value).split(",")
         if len(numbers) != 2 or not all(
@@ -65,13 +73,15 @@ def _frame_options(command: Command) -> Command:
         click.option("--array", "shape", type=ShapeType(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
                      help="Processors on each axis."),
         click.option("--size", type=PairType(), metavar="WxH", help="Pixels, as for render."),
-        click.option("--samples", type=NumberType(1, 1 << 32), metavar="N", help="Samples a pixel, as for render."),
-        click.option("--depth", type=NumberType(1, 31), metavar="N", help="Depth of the last hit that is lit, as for render."),
-        click.option("--min-weight", type=NumberType(0.0, 1e30), metavar="WEIGHT", help="Least weight of rays, as for render."),
+        click.option("--samples", type=NumberType(1, MAX_SAMPLES), metavar="N", help="Samples a pixel, as for render."),
+        click.option("--depth", type=NumberType(1, MAX_DEPTH), metavar="N",
+                     help="Depth of the last hit that is lit, as for render."),
+        click.option("--min-weight", type=NumberType(0.0, MAX_WEIGHT), metavar="WEIGHT",
+                     help="Least weight of rays, as for render."),
         click.option("--highlights/--no-highlights", default=None, help="Phong highlights, as for render."),
         click.option("--split", type=click.Choice(["balanced", "uniform"]), default="balanced", show_default=True,
                      help="Where the planes between processors lie, as for render."),
-        click.option("--frame", type=NumberType(1, 1_000_000), metavar="N", help="The frame of a shot.  [default: 1]"),
+        click.option("--frame", type=NumberType(1, MAX_FRAMES), metavar="N", help="The frame of a shot.  [default: 1]"),
     )
     for option in reversed(options):
         command = option(command)
@@ -81,7 +91,7 @@ def _frame_options(command: Command) -> Command:
 @click.command(short_help="Print the tree of rays of one pixel: what each hit and brought.", epilog=TRACE_EXAMPLES)
 @click.argument("scene")
 @click.option("--pixel", type=PixelType(), required=True, metavar="X,Y", help="Column and row, 0,0 top left.")
-@click.option("--sample", type=NumberType(0, 1 << 32), metavar="K", help="This sample of the pixel only.  [default: all]")
+@click.option("--sample", type=NumberType(0, MAX_SAMPLES), metavar="K", help="This sample of the pixel only.  [default: all]")
 @_frame_options
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 @outside_option
@@ -102,7 +112,7 @@ def trace(
 @click.argument("scene")
 @click.option("--room", type=NumberType(1, 1 << 20), default=64, show_default=True, metavar="PACKETS",
               help="What the buffer of a link holds, each way.")
-@click.option("--budget", type=NumberType(1, (1 << 32) - 1), metavar="RAYS",
+@click.option("--budget", type=NumberType(1, MAX_BUDGET), metavar="RAYS",
               help="Primary rays alive at once, with admission.  [default: as many as can surely not jam, 1 at least]")
 @_frame_options
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
@@ -128,7 +138,7 @@ def jam(
               help="Play the recording X times as fast as it was.  [default: 1 on a terminal, unless files are written]")
 @click.option("--worst", is_flag=True, help="Show the recording's worst moment: when most packets waited in the array.")
 @click.option("--table", is_flag=True, help="At the end, all nodes by the share of a processor that they used.")
-@click.option("--rate", type=NumberType(0.01, 100.0), default=10.0, show_default=True, metavar="HZ",
+@click.option("--rate", type=NumberType(0.01, MAX_RATE), default=10.0, show_default=True, metavar="HZ",
               help="How often each node tells how it stands.")
 @click.option("--for", "seconds", type=NumberType(0.0, 1e9), metavar="SECONDS", help="End after this time.  [default: at Ctrl-C]")
 @click.option("--json", "as_json", is_flag=True, help="A line of JSON a sample, instead of the table.")

@@ -1,4 +1,4 @@
-"""The commands of machine time: simulate and law."""
+"""Declares the commands of machine time: simulate and law."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from raygrid.host.cli.types import (
     outside_option,
     path_option,
 )
+from raygrid.host.text.bounds import MAX_DEPTH, MAX_FRAMES, MAX_SAMPLES, MAX_WEIGHT
 
 SIMULATE_EXAMPLES = """\b
 Examples:
@@ -50,15 +51,15 @@ Writes law.md, law.csv and a plot for each scene. docs/paper.md says what came o
 @click.option("--band/--no-band", default=True, show_default=True,
               help="Low and high costs, too: three frames instead of one.")
 @click.option("--size", type=PairType(), metavar="WxH", help="As for render.")
-@click.option("--samples", type=NumberType(1, 1 << 32), metavar="N", help="As for render.")
-@click.option("--depth", type=NumberType(1, 31), metavar="N", help="As for render.")
-@click.option("--min-weight", type=NumberType(0.0, 1e30), metavar="WEIGHT", help="As for render.")
+@click.option("--samples", type=NumberType(1, MAX_SAMPLES), metavar="N", help="As for render.")
+@click.option("--depth", type=NumberType(1, MAX_DEPTH), metavar="N", help="As for render.")
+@click.option("--min-weight", type=NumberType(0.0, MAX_WEIGHT), metavar="WEIGHT", help="As for render.")
 @click.option("--highlights/--no-highlights", default=None, help="As for render.")
 @click.option("--split", type=click.Choice(["balanced", "uniform"]), default="balanced", show_default=True,
               help="As for render.")
 @click.option("--transfer", type=click.Choice(["srgb", "linear"]), default="srgb", show_default=True,
               help="As for render.")
-@click.option("--frame", type=NumberType(1, 1_000_000), metavar="N", help="The frame of a shot.  [default: 1]")
+@click.option("--frame", type=NumberType(1, MAX_FRAMES), metavar="N", help="The frame of a shot.  [default: 1]")
 @click.option("-o", "--output", "outputs", multiple=True, type=FileName(), metavar="FILE",
               help="Picture, or .npy of the exact sums: the same bits as from render; may be repeated.")
 @path_option("--stats", metavar="FILE", help="Write what the machine did as JSON.")
@@ -95,7 +96,7 @@ def simulate(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], 
               help="Pixels, for the number of rays; may be repeated.  [default: 32x32, 64x64, 128x128]")
 @click.option("--axis", type=click.Choice(["x", "y", "z", "view"]), default="view", show_default=True,
               help="The axis that square arrays leave whole; view: the one along which the camera looks.")
-@click.option("--depth", type=NumberType(1, 31), metavar="N", help="As for render.")
+@click.option("--depth", type=NumberType(1, MAX_DEPTH), metavar="N", help="As for render.")
 @click.option("--split", type=click.Choice(["balanced", "uniform"]), default="uniform", show_default=True,
               help="As for render.")
 @path_option("-o", "--output", "folder", default=("law",), metavar="FOLDER",

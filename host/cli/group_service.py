@@ -1,20 +1,19 @@
-"""The commands for arrays that stay: up, list, submit, wait, jobs, cancel, status, reset, down."""
+"""Declares the commands for arrays that stay: up, list, submit, wait, jobs, cancel, status, reset, down."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import click
 
-from raygrid.host.cli.types import AnyType, FileName, FramesType, NumberType, ShapeType, path_option
+from raygrid.host.cli.types import AnyType, Command, FileName, FramesType, NumberType, ShapeType, path_option
+from raygrid.host.render.given_settings import SETTINGS, GivenSettings
+from raygrid.host.text.bounds import MAX_JOB, MAX_PRIORITY, MOST_LISTED
 
 # Options of `render` that a job has, too; the others belong to the array, and so to `up`.
-SETTINGS = ("size", "samples", "depth", "min_weight", "highlights", "split")
 OF_RENDER = (*SETTINGS, "budget", "transfer", "turntable", "turntable_scene", "program")
-
-Command = Callable[..., Any]
 
 UP_EXAMPLES = """\b
 Examples:
@@ -76,7 +75,7 @@ class ArrayNameType(AnyType):
 
     name = "name"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """Raises a usage error for what cannot be one."""
         from raygrid.host.client.service_files import check_array_name
         from raygrid.node.errors import ArrayError
@@ -141,7 +140,7 @@ def list_arrays(as_json: bool) -> None:
                    "[default: the scene's name with .png, or with _%04d.png, here]")
 @path_option("--stats", metavar="FILE", help="As for render; %04d as for -o.")
 @click.option("--resume", is_flag=True, help="Skip frames whose files are there, whole, and of just this job.")
-@click.option("--priority", type=NumberType(-100, 100), default=0, show_default=True, metavar="N",
+@click.option("--priority", type=NumberType(-MAX_PRIORITY, MAX_PRIORITY), default=0, show_default=True, metavar="N",
               help="Frames of jobs with a higher one go first.")
 @click.option("--detach", is_flag=True, help="Print the number of the job and return at once.")
 @click.option("--json", "as_json", is_flag=True, help="Print a line of JSON for each event.")
@@ -154,14 +153,14 @@ def submit(scene: str, **options: Any) -> None:
     from raygrid.host.cli.commands.submit import SubmitRequest, run_submit
     from raygrid.host.image.frames import turntable_of
 
-    settings = {name: options.pop(name) for name in SETTINGS}
+    settings = cast(GivenSettings, {name: options.pop(name) for name in SETTINGS})
     turntable = turntable_of(options.pop("turntable"), options.pop("turntable_scene"))
     client = f"session {os.getsid(0)}"
-    run_submit(SubmitRequest(scene, settings=settings, turntable=turntable, client=client, **options))
+    run_submit(SubmitRequest(scene=scene, settings=settings, turntable=turntable, client=client, **options))
 
 
 @click.command(epilog=WAIT_EXAMPLES)
-@click.argument("job", type=NumberType(1, 1 << 53))
+@click.argument("job", type=NumberType(1, MAX_JOB))
 @_name_option
 @click.option("--json", "as_json", is_flag=True, help="Print a line of JSON for each event.")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors.")
@@ -174,7 +173,7 @@ def wait(job: int, **options: Any) -> None:
 
 @click.command(short_help="List the jobs of an array, also of one that is not up.", epilog=JOBS_EXAMPLES)
 @_name_option
-@click.option("--ended", type=NumberType(0, 10_000), default=10, show_default=True, metavar="N",
+@click.option("--ended", type=NumberType(0, MOST_LISTED), default=10, show_default=True, metavar="N",
               help="How many of the jobs that have ended.")
 @_json_option
 def jobs(**options: Any) -> None:
@@ -188,7 +187,7 @@ def jobs(**options: Any) -> None:
 
 
 @click.command(epilog=CANCEL_EXAMPLES)
-@click.argument("numbers", metavar="JOB...", nargs=-1, type=NumberType(1, 1 << 53))
+@click.argument("numbers", metavar="JOB...", nargs=-1, type=NumberType(1, MAX_JOB))
 @click.option("--all", "everything", is_flag=True, help="All jobs.")
 @_name_option
 def cancel(numbers: tuple[int, ...], everything: bool, name: str) -> None:

@@ -1,26 +1,22 @@
-"""The command line. Heavy libraries are imported by the commands that need them, so that --help is quick.
+"""Says what commands there are and what options they take, and runs them.
 
-Exit codes: 0 done, 1 failed, 2 usage, 128 + n ended by signal n (Ctrl-C: 130). Results go to standard output, talk and
-errors to standard error, an error being one line; --debug, or the variable RAYGRID_DEBUG, adds tracebacks.
+Heavy libraries are imported by the commands that need them, so that --help is quick. Results go to standard output,
+progress and errors to standard error; `ending` has the exit codes.
 """
 
 from __future__ import annotations
 
-import atexit
-import contextlib
 import gc
 import json
 import os
-import signal
 import sys
-import threading
-import traceback
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Mapping
+from typing import Any, cast
 
 import click
 
 from raygrid.host.cli import group_inspect, group_machine_time, group_service
+from raygrid.host.cli.ending import DEBUG, leave, run
 from raygrid.host.cli.types import (
     FaultType,
     FileName,
@@ -32,10 +28,9 @@ from raygrid.host.cli.types import (
     outside_option,
     path_option,
 )
-from raygrid.host.files.input_guard import noted
+from raygrid.host.text.bounds import MAX_BUDGET, MAX_DEPTH, MAX_FRAMES, MAX_RATE, MAX_SAMPLES, MAX_WEIGHT
 from raygrid.host.text.standard_streams import ready_streams
 
-DEBUG = "RAYGRID_DEBUG"
 # Of what a command imports nearly all stays: looking it through for cycles as often as by default takes a sixth of the time.
 FEWER_LOOKS = (50_000, 20, 100)
 # numpy's threads would wait in a busy loop, beside the nodes, for matrices that are too small for them
@@ -98,17 +93,17 @@ def cli() -> None:
 @click.option("--array", "shape", type=ShapeType(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
               help="Processors on each axis.")
 @click.option("--size", type=PairType(), metavar="WxH", help="Pixels.  [default: what the scene asks for, else 512x512]")
-@click.option("--samples", type=NumberType(1, 1 << 32), metavar="N", help="Samples a pixel.  [default: the scene's, else 1]")
-@click.option("--depth", type=NumberType(1, 31), metavar="N",
+@click.option("--samples", type=NumberType(1, MAX_SAMPLES), metavar="N", help="Samples a pixel.  [default: the scene's, else 1]")
+@click.option("--depth", type=NumberType(1, MAX_DEPTH), metavar="N",
               help="Depth of the last hit that is lit, 1 to 31; the eye's ray has depth 1.  [default: the scene's, else 5]")
-@click.option("--min-weight", type=NumberType(0.0, 1e30), metavar="WEIGHT",
+@click.option("--min-weight", type=NumberType(0.0, MAX_WEIGHT), metavar="WEIGHT",
               help="Rays fainter than this are not born.  [default: the scene's, else 0]")
 @click.option("--highlights/--no-highlights", default=None, help="Phong highlights.  [default: off for NFF, else on]")
 @click.option("--split", type=click.Choice(["balanced", "uniform"]), default="balanced", show_default=True,
               help="Where the planes between processors lie: so that work is spread, or in equal boxes.")
 @click.option("--batch", type=NumberType(1, 8192), default=4096, show_default=True, metavar="PACKETS",
               help="Most packets a message; 1 is the machine of 1983.")
-@click.option("--budget", type=NumberType(1, (1 << 32) - 1), default=1 << 20, show_default=True, metavar="PACKETS",
+@click.option("--budget", type=NumberType(1, MAX_BUDGET), default=1 << 20, show_default=True, metavar="PACKETS",
               help="Packets in flight below which new primary rays are admitted.")
 @click.option("--transfer", type=click.Choice(["srgb", "linear"]), default="srgb", show_default=True,
               help="From linear radiance to the bytes of a picture.")
@@ -117,8 +112,8 @@ def cli() -> None:
                    "repeated.  [default: the scene's name with .png, here]")
 @click.option("--frames", type=FramesType(), metavar="A-B",
               help="Render these frames of a shot; FILE then has a number such as %04d in its name, or is .gif .webp .mp4.")
-@click.option("--turntable", type=NumberType(1, 1_000_000), metavar="N", help="The camera goes once round the scene in N frames.")
-@click.option("--turntable-scene", type=NumberType(1, 1_000_000), metavar="N",
+@click.option("--turntable", type=NumberType(1, MAX_FRAMES), metavar="N", help="The camera goes once round the scene in N frames.")
+@click.option("--turntable-scene", type=NumberType(1, MAX_FRAMES), metavar="N",
               help="The scene turns once in N frames, under lights that stay.")
 @click.option("--resume", is_flag=True,
               help="Skip frames whose files are there, whole, and of just this shot: a .png says so itself, others are "
@@ -131,7 +126,7 @@ def cli() -> None:
               help="Keep how every node stood, line by line, as JSON. For a single frame.")
 @path_option("--chrome-trace", metavar="FILE",
               help="Write the same as a trace for Perfetto. For a single frame.")
-@click.option("--probe-rate", type=NumberType(0.01, 100.0), default=10.0, show_default=True, metavar="HZ",
+@click.option("--probe-rate", type=NumberType(0.01, MAX_RATE), default=10.0, show_default=True, metavar="HZ",
               help="How often a node tells how it stands, if anybody asks.")
 @click.option("--profile", is_flag=True,
               help="Say where each processor's time went: receive, birth, decode, walk, hit, shade, send, other, wait. "
@@ -154,8 +149,10 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
 
     SCENE is a file of one of these kinds: .nff .obj .ply .stl .glb .gltf .toml
     """
-    from raygrid.host.cli.commands.render import RenderRequest, run_render
+    from raygrid.host.cli.commands.render import run_render
+    from raygrid.host.cli.commands.render_request import RenderRequest
     from raygrid.host.image.frames import default_outputs, turntable_of, wants_shot
+    from raygrid.host.render.given_settings import GivenSettings
 
     of_machine = ("batch", "budget", "transfer", "stats", "patience", "attempts", "fault", "quiet", "profile")
     names = (*of_machine, "probe_record", "chrome_trace", "probe_rate", "frames", "program", "allow_programs", "resume")
@@ -165,14 +162,13 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
         raise click.UsageError("--cost and --search came without --timed")
     machine |= {"cost": (cost or "8086") if timed else None, "search": search}
     turntable = turntable_of(options.pop("turntable"), options.pop("turntable_scene"))
-    named = [*outputs, *filter(None, [machine["stats"]])]
-    several = wants_shot(machine["frames"], turntable is not None, named)
+    several = wants_shot(machine["frames"], turntable is not None, outputs, machine["stats"])
     if timed and (several or machine["program"] is not None):
         raise click.UsageError("--timed came with --frames, --turntable or --program, wanted one frame without a program")
     if several and (machine["profile"] or machine["probe_record"] or machine["chrome_trace"]):
         raise click.UsageError("--profile, --probe-record or --chrome-trace came with several frames, wanted a single one")
     outputs = outputs or default_outputs(scene, several)
-    request = RenderRequest(scene, shape, outputs, **machine, settings=options, turntable=turntable)
+    request = RenderRequest(scene, shape, outputs, **machine, settings=cast(GivenSettings, options), turntable=turntable)
     if request.resume and not several:
         raise click.UsageError("--resume came without frames, wanted --frames, --turntable, or a number such as %04d in a name")
     run_render(request)
@@ -216,7 +212,7 @@ def info(scene: str, as_json: bool) -> None:
 
 @cli.command(epilog=EXPORT_EXAMPLES)
 @click.argument("scene")
-@click.option("--depth", type=NumberType(1, 31), metavar="N", help="As for render.  [default: the scene's, else 5]")
+@click.option("--depth", type=NumberType(1, MAX_DEPTH), metavar="N", help="As for render.  [default: the scene's, else 5]")
 @click.option("--highlights/--no-highlights", default=None, help="As for render.  [default: off for NFF, else on]")
 @path_option(
     "-o",
@@ -224,7 +220,7 @@ def info(scene: str, as_json: bool) -> None:
     metavar="FILE",
     help="File to write.  [default: the scene's name with .pov, here]",
 )
-@click.option("--frame", type=NumberType(1, 1_000_000), metavar="N", help="The frame of a shot.  [default: 1]")
+@click.option("--frame", type=NumberType(1, MAX_FRAMES), metavar="N", help="The frame of a shot.  [default: 1]")
 @outside_option
 @debug_option
 def export(scene: str, depth: int | None, highlights: bool | None, output: str | None, frame: int | None) -> None:
@@ -246,7 +242,7 @@ group_service.add_commands(cli, render, debug_option)
 group_inspect.add_commands(cli, debug_option)
 
 
-def _lines(facts: dict[str, Any], indent: str = "") -> Iterator[str]:
+def _lines(facts: Mapping[str, object], indent: str = "") -> Iterator[str]:
     """Facts as indented text."""
     from raygrid.host.text.clean_text import printable
 
@@ -267,7 +263,7 @@ def _lines(facts: dict[str, Any], indent: str = "") -> Iterator[str]:
             yield f"{label} {_short(value)}"
 
 
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
@@ -277,167 +273,17 @@ def _short(value: Any) -> str:
     return "not set" if value is None else str(value)
 
 
-# --- errors, signals, exit codes -----------------------------------------------------------------
-
-
-class EndedBySignal(BaseException):
-    """A signal asked the program to end."""
-
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.number = number
-
-
-def _end(number: int, _frame: Any) -> None:
-    raise EndedBySignal(number)
-
-
-@contextlib.contextmanager
-def _signals_as_exceptions() -> Iterator[None]:
-    """Ctrl-C, SIGTERM and SIGHUP end the program by way of everything that has to be cleaned up."""
-    before = {}
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        with contextlib.suppress(ValueError):  # not in the main thread
-            if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
-                before[number] = signal.signal(number, _end)
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _run(arguments: list[str]) -> int:
-    """Run a command; returns the exit code. Known errors become one line."""
-    try:
-        with _signals_as_exceptions(), noted():
-            code = cli.main(args=arguments, prog_name="raygrid", standalone_mode=False)
-        return code if isinstance(code, int) else 0
-    except click.exceptions.Exit as end:
-        return end.exit_code
-    except click.exceptions.NoArgsIsHelpError as error:
-        error.show()
-        return 2
-    except click.ClickException as error:
-        context = getattr(error, "ctx", None)
-        command = "raygrid" if context is None else context.command_path
-        return _say_misuse(command, _misused(error))
-    except EndedBySignal as error:
-        name = signal.Signals(error.number).name
-        _say("raygrid: stopped" if error.number == signal.SIGINT else f"raygrid: ended by {name}")
-        return 128 + error.number
-    except Exception as error:
-        return _say_failed(error, arguments)
-
-
-def _say_failed(error: Exception, arguments: list[str]) -> int:
-    from raygrid.host.text.misuse import Misuse
-
-    if isinstance(error, Misuse):
-        return _say_misuse(_command(arguments), _told(error).removeprefix("raygrid: "))
-    if isinstance(error, OSError) and {"-h", "--help", "--version"} & set(arguments):  # click prints these by itself
-        _say(f"raygrid: standard output cannot be written ({error.strerror})")
-    else:
-        _say(_told(error) + _programs_hint(error, _command(arguments)))
-    return 1
-
-
-def _programs_hint(error: Exception, words: str) -> str:
-    """How the command that was called, or another, is given the program that a scene wants."""
-    from raygrid.host.scene.load import WantsProgram
-
-    if not isinstance(error, WantsProgram):
-        return ""
-    command = cli.commands.get(words.removeprefix("raygrid "))
-    options = () if command is None else (option for parameter in command.params for option in parameter.opts)
-    return " (--program)" if "--program" in options else f", which {words} does not run: raygrid render --program does"
-
-
-def _command(arguments: list[str]) -> str:
-    """The words of the command that was called."""
-    return " ".join(["raygrid", *[word for word in arguments if word in cli.commands][:1]])
-
-
-def _say_misuse(command: str, what: str) -> int:
-    _say(f"{command}: {what} ({command} --help says more)")
-    return 2
-
-
-def _misused(error: click.ClickException) -> str:
-    """What is wrong with the arguments, as one line."""
-    message = " ".join(error.format_message().split())
-    if isinstance(error, click.BadParameter) and error.message and error.param is not None:
-        names = sorted((*error.param.opts, error.param.human_readable_name), key=lambda name: -name.count("-"))
-        message = f"{names[0]}: {' '.join(error.message.split())}"
-    return message
-
-
-def _told(error: Exception) -> str:
-    """An error as one line, behind its traceback if that is wanted."""
-    from raygrid.node.errors import RaygridError
-
-    debug = bool(os.environ.get(DEBUG))
-    if debug:
-        traceback.print_exception(error)
-    if isinstance(error, RaygridError):
-        return f"raygrid: {' '.join(str(error).split())}"
-    if isinstance(error, MemoryError):
-        return "raygrid: out of memory"
-    if isinstance(error, FileNotFoundError) and not _stands_somewhere():
-        return "raygrid: the working directory is gone, wanted one that is there"
-    where = "" if debug else " (raygrid --debug shows where)"
-    return f"raygrid: a bug: {type(error).__name__}: {' '.join(str(error).split())}{where}"
-
-
-def _stands_somewhere() -> bool:
-    """Whether the working directory is there; without it no relative path means anything."""
-    try:
-        return bool(os.getcwd())
-    except FileNotFoundError:
-        return False
-
-
-def _say(line: str) -> None:
-    from raygrid.host.text.clean_text import printable
-
-    line = printable(line)
-    with contextlib.suppress(OSError, ValueError):
-        click.echo(line, err=True)
-
-
 def main(argv: list[str] | None = None) -> None:
     """Run a command. Always ends by SystemExit; as a program (no argv) it has ended then, with all files written."""
     arguments = sys.argv[1:] if argv is None else argv
     if "--debug" in arguments:
         os.environ[DEBUG] = "1"  # the nodes look for it, too
     if argv is not None:
-        raise SystemExit(_run(arguments))
+        raise SystemExit(run(cli, arguments))
     ready_streams()
     gc.set_threshold(*FEWER_LOOKS)
     for name in ONE_THREAD:
         os.environ.setdefault(name, "1")
-    code = _run(arguments)
-    _leave(code)
+    code = run(cli, arguments)
+    leave(code)
     raise SystemExit(code)
-
-
-def _leave(code: int) -> None:
-    """End the process without taking every module apart, which takes numba and numpy a fifth of a second.
-
-    What is to be done at the end is done, as Python does it and in its order; if anything of that is not plain, this
-    returns, and Python ends as it always does.
-    """
-    if any(thread is not threading.main_thread() and not thread.daemon for thread in threading.enumerate()):
-        return
-    atexit._run_exitfuncs()  # each is run once, so that returning from here is safe
-    try:
-        for stream in (sys.stdout, sys.stderr):
-            if stream is not None:
-                stream.flush()
-    except BrokenPipeError:  # Python has its own words and exit code for it
-        return
-    except (OSError, ValueError) as error:
-        if code == 0:
-            _say(f"raygrid: standard output cannot be written ({getattr(error, 'strerror', None) or error})")
-        os._exit(code or 1)
-    os._exit(code)

@@ -1,4 +1,4 @@
-"""Nodes by the share of a processor that they used over all samples: `raygrid probe --table`."""
+"""Lists nodes by the share of a processor that they used over all samples: `raygrid probe --table`."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Shares:
     def records(self) -> Iterator[str]:
         """The same as lines of JSON."""
         for share in self.ordered():
-            told = asdict(share) | {"node": list(share.node)}
+            facts = asdict(share) | {"node": list(share.node)}
             yield json.dumps(
-                {"is": "share", **{key: round(v, 4) if isinstance(v, float) else v for key, v in told.items()}}
+                {"is": "share", **{key: round(v, 4) if isinstance(v, float) else v for key, v in facts.items()}}
             )

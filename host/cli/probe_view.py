@@ -1,4 +1,4 @@
-"""Probes on a terminal: a heat map of each layer of the array, and a table of the busiest nodes, as both fit into it.
+"""Draws probes on a terminal: a heat map of each layer of the array, and a table of the busiest nodes, as both fit.
 
 The maps' scale is one and the same whatever the array does, so an idle array is blank; it is finer below, since many nodes
 share a processor of this computer.
@@ -158,10 +158,10 @@ def heat_maps(gauges: Gauges, width: int = WIDTH, height: int = HEIGHT) -> tuple
     for first in range(0, len(layers), across):
         blocks = [_Layer(gauges, z, several, cell).lines() for z in layers[first : first + across]]
         lines += [_beside(parts) for parts in zip(*blocks, strict=True)]
-    told = "x to the right, y upwards" if several == 1 else f"x right, y up; busiest of {several}x{several} nodes"
+    legend = "x to the right, y upwards" if several == 1 else f"x right, y up; busiest of {several}x{several} nodes"
     if len(layers) < nz:
-        told += f"; {len(layers)} busiest of {nz} layers"
-    return lines, told
+        legend += f"; {len(layers)} busiest of {nz} layers"
+    return lines, legend
 
 
 def _busiest_layers(gauges: Gauges, most: int) -> list[int]:

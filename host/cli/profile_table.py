@@ -1,13 +1,21 @@
-"""The table of `--profile`: where each node's time went, in parts of a hundred."""
+"""Prints where each node's time went, in parts of a hundred: the table of `--profile`."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterable
+from typing import TypedDict
 
 from raygrid.node.runtime import PARTS
 
 
-def profile_table(nodes: list[dict[str, Any]]) -> list[str]:
+class NodeReport(TypedDict):
+    """What is used here of the record of a node: its coordinates, and seconds by part."""
+
+    index: list[int]
+    profile: dict[str, float]
+
+
+def profile_table(nodes: Iterable[NodeReport]) -> list[str]:
     """Lines of text: a head, a line a node, one for all of them. `nodes`: records with `profile`, seconds by part."""
     rows = [(",".join(map(str, node["index"])), node["profile"]) for node in nodes]
     total = {part: sum(seconds[part] for _, seconds in rows) for part in PARTS}

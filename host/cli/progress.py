@@ -1,4 +1,4 @@
-"""What the command line says while it works: one live line on a terminal, next to nothing where there is none.
+"""Says how far a command is: one live line on a terminal, next to nothing where there is none.
 
 Where standard error is no terminal, only what a user must not miss is said: remarks on the scene, and the compiling of
 a first run. Standard output has the names of the files written and nothing else.
@@ -84,7 +84,7 @@ class ProgressReporter:
         self._print(f"note: {text}")
 
     def fault(self, fault: FaultReport) -> None:
-        """Told by `render_steadily` of what went wrong and was made good."""
+        """Told by a render session of what went wrong and was made good."""
         self.remark(f"{fault.what}; the array was reset in {fault.seconds[1]:.2f} s, and the frame begins anew")
 
     def say(self, text: str) -> None:

@@ -1,4 +1,4 @@
-"""The provenance of a pixel in the scene's own terms: a map ready for JSON, and lines for people."""
+"""Describes the provenance of a pixel in the scene's own terms: a map ready for JSON, and lines for people."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from raygrid.node.geometry import AnyKind
 from raygrid.node.tracing import UNIT
 
 VERSION = 1
+Facts = dict[str, Any]  # docs/trace.md
 SHADOW = "shadow"
 
 
-def trace_pixel(job: Job, x: int, y: int, only: int | None = None) -> dict[str, Any]:
+def trace_pixel(job: Job, x: int, y: int, only: int | None = None) -> Facts:
     """The ray trees of the samples of a pixel, row 0 on top; `only`: of that sample (docs/trace.md).
 
     Raises SceneMisuse for a pixel or sample that is not there, ArrayError if the array contradicts itself.
@@ -60,18 +61,18 @@ class _Trees:
         self._kinds: dict[int, AnyKind] = {}
         self._surfaces = job.surfaces
 
-    def sample(self, sample: SampleTree) -> dict[str, Any]:
+    def sample(self, sample: SampleTree) -> Facts:
         ray = None if sample.ray is None else self._ray(sample.ray)
         return {"sample": sample.number, "units": list(sample.units), "ray": ray}
 
-    def _ray(self, ray: Ray) -> dict[str, Any]:
-        told: dict[str, Any] = {"kind": ray.kind.name.lower(), "depth": ray.depth}
+    def _ray(self, ray: Ray) -> Facts:
+        facts: Facts = {"kind": ray.kind.name.lower(), "depth": ray.depth}
         if ray.light is not None:
-            told["light"] = ray.light
-            told["light_kind"] = light_kind(self._lights[ray.light])
+            facts["light"] = ray.light
+            facts["light_kind"] = light_kind(self._lights[ray.light])
         if ray.inside:
-            told["total_internal_reflection"] = True
-        told |= {
+            facts["total_internal_reflection"] = True
+        facts |= {
             "weight": list(ray.weight),
             "origin": self._point(ray.origin),
             "direction": list(ray.direction),
@@ -80,9 +81,9 @@ class _Trees:
             "hit": None,
         }
         if ray.start:
-            told["handed_to_start"] = [list(cell) for cell in ray.cells[: ray.start]]
+            facts["handed_to_start"] = [list(cell) for cell in ray.cells[: ray.start]]
         if ray.met is not None:
-            told["hit"] = {
+            facts["hit"] = {
                 "surface": ray.met.surface,
                 "kind": self._kind(ray.met.surface).name.lower(),
                 "material": ray.met.material,
@@ -91,14 +92,14 @@ class _Trees:
                 "cell": list(ray.met.cell),
             }
         back = ray.came_back
-        told["returned"] = back and {
+        facts["returned"] = back and {
             "intensity": list(back.intensity),
             "units": list(back.units),
             "cells": [list(cell) for cell in back.cells],
             "home": list(back.cells[-1]),
         }
-        told["children"] = [self._ray(child) for child in ray.children]
-        return told
+        facts["children"] = [self._ray(child) for child in ray.children]
+        return facts
 
     def _point(self, point: tuple[float, float, float]) -> list[float]:
         """Machine coordinates as the scene's."""
@@ -115,27 +116,27 @@ class _Trees:
 # --- for people ----------------------------------------------------------------------------------
 
 
-def headline(told: dict[str, Any]) -> str:
+def headline(facts: Facts) -> str:
     """What was asked, and what all samples add up to."""
-    x, y = told["pixel"]
-    width, height = told["size"]
-    shown, samples = len(told["trees"]), told["samples"]
+    x, y = facts["pixel"]
+    width, height = facts["size"]
+    shown, samples = len(facts["trees"]), facts["samples"]
     many = f"{samples} sample{'s' * (samples != 1)}" if shown == samples else f"{shown} of {samples} samples"
-    frame = "" if told["frame"] is None else f"frame {told['frame']} of {told['frames']}, "
+    frame = "" if facts["frame"] is None else f"frame {facts['frame']} of {facts['frames']}, "
     return (
-        f"{frame}pixel {x},{y} of {width}x{height}, {many}, array {_cell(told['array'], 'x')}: "
-        f"linear {_three(told['linear'])}, sum {' '.join(map(str, told['sum']))}"
+        f"{frame}pixel {x},{y} of {width}x{height}, {many}, array {_cell(facts['array'], 'x')}: "
+        f"linear {_three(facts['linear'])}, sum {' '.join(map(str, facts['sum']))}"
     )
 
 
-def sample_line(tree: dict[str, Any]) -> str:
+def sample_line(tree: Facts) -> str:
     """One line on a sample."""
     adds = _three([units / UNIT for units in tree["units"]])
     missed = "" if tree["ray"] else ", its ray misses the world box: background"
     return f"sample {tree['sample']}: {adds}{missed}"
 
 
-def ray_line(ray: dict[str, Any]) -> str:
+def ray_line(ray: Facts) -> str:
     """One line on a ray: what it is, where it went, how it ended, what came back."""
     what = f"{ray['kind']} ray, depth {ray['depth']}, weight {_three(ray['weight'])}"
     if "light" in ray:
@@ -145,12 +146,12 @@ def ray_line(ray: dict[str, Any]) -> str:
     return f"{what}; {_way(ray)}; {_end(ray)}" + _back(ray)
 
 
-def _way(ray: dict[str, Any]) -> str:
+def _way(ray: Facts) -> str:
     before = "".join(f"born in {_cell(cell)}, " for cell in ray.get("handed_to_start", [])[:1])
     return before + "cells " + " > ".join(_cell(cell) for cell in ray["cells"])
 
 
-def _end(ray: dict[str, Any]) -> str:
+def _end(ray: Facts) -> str:
     hit, shadow = ray["hit"], ray["kind"] == SHADOW
     if hit is None:
         return "reached its light" if shadow else "left the world"
@@ -160,7 +161,7 @@ def _end(ray: dict[str, Any]) -> str:
     )
 
 
-def _back(ray: dict[str, Any]) -> str:
+def _back(ray: Facts) -> str:
     back = ray["returned"]
     if back is None:
         return "" if ray["hit"] else "; nothing came back"
@@ -170,10 +171,10 @@ def _back(ray: dict[str, Any]) -> str:
     )
 
 
-def plain_lines(told: dict[str, Any]) -> Iterator[str]:
+def plain_lines(facts: Facts) -> Iterator[str]:
     """The whole tree as text, two blanks a level."""
-    yield headline(told)
-    for tree in told["trees"]:
+    yield headline(facts)
+    for tree in facts["trees"]:
         yield sample_line(tree)
         waiting = [(1, tree["ray"])] if tree["ray"] else []
         while waiting:

@@ -1,4 +1,4 @@
-"""Types of options, and the option that every command has."""
+"""Checks what options are given: their types, and the options that several commands have."""
 
 from __future__ import annotations
 
@@ -8,14 +8,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from raygrid.host.text.bounds import MAX_PIXELS, MAX_SIDE
+
 if TYPE_CHECKING:
+    from raygrid.node.links import FaultPlan
+
     AnyType = click.ParamType[Any]
 else:
     AnyType = click.ParamType  # not generic before click 8.4
 
+Command = Callable[..., object]
 
-MOST_SIDE, MOST_PIXELS = 65536, 1 << 28  # those of `raygrid.host.render.job`, which takes long to import
-SIZES = f"wanted sides of 1 to {MOST_SIDE} and at most {MOST_PIXELS:,} pixels"
+SIZES = f"wanted sides of 1 to {MAX_SIDE} and at most {MAX_PIXELS:,} pixels"
 
 
 class PairType(AnyType):
@@ -23,7 +27,7 @@ class PairType(AnyType):
 
     name = "pair"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
         """Raises a usage error for anything else."""
         numbers = str(value).lower().split("x")
         if len(numbers) != 2 or not all(number.isascii() and number.isdigit() for number in numbers):
@@ -31,7 +35,7 @@ class PairType(AnyType):
         if any(len(number) > 9 or int(number) < 1 for number in numbers):
             self.fail(f"{shorten(value)} came, {SIZES}", param, ctx)
         width, height = int(numbers[0]), int(numbers[1])
-        if max(width, height) > MOST_SIDE or width * height > MOST_PIXELS:
+        if max(width, height) > MAX_SIDE or width * height > MAX_PIXELS:
             self.fail(f"{shorten(value)} came, {SIZES}", param, ctx)
         return width, height
 
@@ -41,7 +45,7 @@ class FileName(AnyType):
 
     name = "file"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """Raises a usage error for what no file can be called."""
         if not value or "\0" in str(value):
             self.fail(f"{shorten(value)} came, wanted the name of a file", param, ctx)
@@ -53,7 +57,7 @@ class ShapeType(AnyType):
 
     name = "shape"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int, int]:
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int, int]:
         """Raises a usage error for anything but three whole numbers of 1 or more."""
         from raygrid.emulator.topology import parse_shape
 
@@ -70,7 +74,7 @@ class EdgesType(AnyType):
 
     name = "edges"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
         """Raises a usage error for anything but whole numbers of 1 to 1024 between commas."""
         if isinstance(value, tuple):
             return value
@@ -85,7 +89,7 @@ class FramesType(AnyType):
 
     name = "frames"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
         """Raises a usage error for anything else."""
         if isinstance(value, tuple):
             return value
@@ -102,7 +106,7 @@ class FaultType(AnyType):
 
     name = "fault"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> FaultPlan:
         """Raises a usage error for anything that `parse_fault` refuses."""
         from raygrid.node.links import parse_fault
 
@@ -120,13 +124,13 @@ class NumberType(AnyType):
     def __init__(self, least: float, most: float) -> None:
         self._least, self._most = least, most
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Raises a usage error for anything else, NaN too."""
         whole = isinstance(self._least, int)
         read: Callable[[str], float] = int if whole else float
         try:
             plain = len(str(value)) < 40 and str(value).isascii() and not set(str(value)) & set("_ ")
-            number = read(value) if plain else math.nan
+            number = read(str(value)) if plain else math.nan
         except ValueError:
             number = math.nan
         if not self._least <= number <= self._most:
@@ -142,22 +146,22 @@ def once(ctx: click.Context, param: click.Parameter, values: tuple[str, ...]) ->
     return values[0] if values else None
 
 
-def path_option(*names: str, **about: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def path_option(*names: str, **about: Any) -> Callable[[Command], Command]:
     """An option for the name of one file or folder that is written."""
     return click.option(*names, type=FileName(), multiple=True, callback=once, **about)
 
 
-def shorten(value: Any) -> str:
+def shorten(value: object) -> str:
     text = str(value)
     return repr(text if len(text) <= 40 else text[:37] + "...")
 
 
-def debug_option(command: Callable[..., Any]) -> Callable[..., Any]:
+def debug_option(command: Command) -> Command:
     """--debug, understood before and after the command's name; `main` looks for it before anything else."""
     return click.option("--debug", is_flag=True, expose_value=False, help="Show the tracebacks of errors.")(command)
 
 
-def outside_option(command: Callable[..., Any]) -> Callable[..., Any]:
+def outside_option(command: Command) -> Command:
     """--allow-outside, of every command that reads a scene: it holds for all that the command reads."""
 
     def allow(ctx: click.Context, _param: click.Parameter, value: bool) -> None:

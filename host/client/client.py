@@ -1,4 +1,4 @@
-"""Speak to an array that stays. Light to import: neither numpy nor numba. Any thread may use one connection at any time.
+"""Speaks to an array that stays. Light to import: neither numpy nor numba. Any thread may use one connection at any time.
 
 with raygrid.connect("film") as array:
     job = array.submit("room.toml", frames=(1, 250), output="out/f_%04d.png", size=(640, 480))
@@ -16,20 +16,20 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, Unpack, cast
 
-from raygrid.host.client.connection import ANSWER_SECONDS, ENDED, Connection
+from raygrid.host.client.connection import ANSWER_SECONDS, Connection
+from raygrid.host.client.facts import ENDED, JobFacts, StatusFacts
 from raygrid.host.client.protocol import Message, shown
 from raygrid.host.client.service_files import DEFAULT_NAME, ServiceRecord, find
-from raygrid.host.image.frames import absolute as absolute_pattern
-from raygrid.host.image.frames import check_job, is_played, path_of
+from raygrid.host.client.submission import Name, Submission, plain
+from raygrid.host.image.frames import FrameNames, Turntable, check_job
+from raygrid.host.render.given_settings import SETTINGS, GivenSettings
 from raygrid.node.errors import ArrayError
 
 RESET_SECONDS = 150.0
-SETTINGS = ("size", "samples", "depth", "min_weight", "highlights", "split")
 
-Watch = Callable[[dict[str, Any]], None]
-Name = str | os.PathLike[str]
+Watch = Callable[[Message], None]
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Service:
         turn_scene: bool = False,
         program: Name | None = None,
         priority: int = 0,
-        **settings: Any,
+        **settings: Unpack[GivenSettings],
     ) -> Submitted:
         """Queue a job and return at once. Paths may be relative to the current directory.
 
@@ -109,7 +109,7 @@ class Service:
         turntable  so many frames make a shot of a still scene: the camera goes once round; `turn_scene`: the scene turns
         program   path of a program for the nodes, for an array that was launched to take it
         priority  -100 to 100: frames of higher ones go first, and one that runs is given up for them if it would take long
-        settings  size, samples, depth, min_weight, highlights, split; see `raygrid.host.render.job.Settings`
+        settings  size, samples, depth, min_weight, highlights, split; see `raygrid.host.render.machine_job.Settings`
         Raises TypeError for another setting, OutputError for names that cannot be, ArrayError for what the service refuses.
         """
         unknown = set(settings) - set(SETTINGS)
@@ -119,27 +119,23 @@ class Service:
             frames = 1, turntable
         several = isinstance(output, Sequence) and not isinstance(output, str | bytes)
         patterns: list[Any] = list(output) if several else [output]  # type: ignore[arg-type]
-        outputs = [pattern_at("output", path) for path in patterns]
-        figures = None if stats is None else pattern_at("stats", stats)
+        asked = Submission(
+            scene=scene,
+            outputs=patterns,
+            settings=settings,
+            frames=frames,
+            stats=stats,
+            transfer=transfer,
+            budget=budget,
+            resume=resume,
+            client=self._client if client is None else client,
+            turntable=None if turntable is None else Turntable(turntable, turn_scene),
+            program=program,
+            priority=priority,
+        ).message()
         if frames is None or _are_ends(frames):
-            check_job(outputs, figures, frames)  # else the service says what is wrong
-        request: Message = {
-            "do": "submit",
-            "scene": absolute("scene", scene),
-            "settings": {name: _plain(value) for name, value in settings.items() if value is not None},
-            "frames": _plain(frames),
-            "outputs": outputs,
-            "stats": figures,
-            "transfer": transfer,
-            "resume": resume,
-            "client": self._client if client is None else client,
-            "turntable": None if turntable is None else {"frames": _plain(turntable), "scene": turn_scene},
-            "program": None if program is None else absolute("program", program),
-            "priority": _plain(priority),
-        }
-        if budget is not None:
-            request["budget"] = _plain(budget)
-        return Submitted(self, self._connection.ask(request)["job"])
+            check_job(asked["outputs"], asked["stats"], frames)  # else the service says what is wrong
+        return Submitted(self, self._connection.ask(asked)["job"])
 
     def wait(self, job: int, watch: Watch | None = None) -> Result:
         """Wait until a job has ended. `watch` is called with each event (docs/service.md): progress, frames, remarks.
@@ -159,12 +155,12 @@ class Service:
 
     def cancel(self, jobs: Sequence[int] | None) -> list[int]:
         """Cancel jobs, None: all; returns those that had not ended. Raises ArrayError if one of them is not known."""
-        answer = self._connection.ask({"do": "cancel", "jobs": _plain(jobs)})
+        answer = self._connection.ask({"do": "cancel", "jobs": plain(jobs)})
         return list(answer["jobs"])
 
-    def jobs(self, ended: int = 10) -> list[dict[str, Any]]:
+    def jobs(self, ended: int = 10) -> list[JobFacts]:
         """The last `ended` jobs that have ended, and all that have not, each oldest first."""
-        found: dict[int, dict[str, Any]] = {}
+        found: dict[int, JobFacts] = {}
         left, last = 1, 0
         while left > 0:  # there may be more than a message has room for
             answer = self._connection.ask({"do": "jobs", "ended": ended, "after": last})
@@ -172,10 +168,10 @@ class Service:
             left, last = answer["left"], max(found, default=0)
         return sorted(found.values(), key=lambda facts: (facts["state"] not in ENDED, facts["job"]))
 
-    def status(self) -> dict[str, Any]:
+    def status(self) -> StatusFacts:
         """How the array is: nodes, load, queue, frames, faults (docs/service.md)."""
         answer = self._connection.ask({"do": "status"})
-        return {key: value for key, value in answer.items() if key != "is"}
+        return cast(StatusFacts, {key: value for key, value in answer.items() if key != "is"})
 
     def reset(self) -> list[int]:
         """Empty the array and begin the running frame again; returns the process ids of the nodes."""
@@ -243,41 +239,10 @@ def _are_ends(frames: Any) -> bool:
 def _files_of(facts: Message) -> Iterator[str]:
     """All files of a job, in the order of its frames; those that play after the last."""
     shot = facts["first"] is not None
-    numbers = range(facts["first"], facts["last"] + 1) if shot else [None]
-    played = [pattern for pattern in facts["outputs"] if is_played(pattern, shot)]
-    for number in numbers:
-        yield from (path_of(pattern, number) for pattern in facts["outputs"] if pattern not in played)
-    yield from (path_of(pattern, None) for pattern in played)
-
-
-def _plain(value: Any) -> Any:
-    """A setting as a message can carry it: pairs as lists, numpy's numbers as numbers."""
-    if isinstance(value, Sequence) and not isinstance(value, str | bytes | bytearray):
-        return [_plain(item) for item in value]
-    if type(value).__module__ == "numpy" and hasattr(value, "tolist"):
-        return value.tolist()
-    return value
-
-
-def absolute(what: str, path: Any) -> str:
-    """A path from the root, for the service, which stands elsewhere. Raises ArrayError for what is no path.
-
-    what  it is the path of
-    """
-    if not isinstance(path, str | os.PathLike) or not isinstance(os.fspath(path), str):
-        raise ArrayError(f"{what} came as {shown(path)}, wanted the path of a file")
-    try:
-        return os.path.abspath(path)
-    except FileNotFoundError:
-        raise ArrayError(
-            f"{what} came as {os.fspath(path)!r}, wanted an absolute path: the current directory was removed"
-        ) from None
-
-
-def pattern_at(what: str, pattern: Any) -> str:
-    """The name of an output with its whole path, in which a % of the current directory stands for itself. As `absolute`."""
-    absolute(what, pattern)
-    return absolute_pattern(pattern)
+    names = FrameNames.split(facts["outputs"], None, shot)
+    for number in range(facts["first"], facts["last"] + 1) if shot else [None]:
+        yield from names.of(number)
+    yield from names.played
 
 
 def _said(end: Message) -> str:

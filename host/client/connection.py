@@ -1,4 +1,4 @@
-"""One connection to an array that stays, for any number of threads: requests, answers in order, and events.
+"""Connects any number of threads to an array that stays: requests, answers in order, and events.
 
 No thread is started for it. Of those that wait, one reads and hands to each what is for it; when it has its own, another
 of those that wait takes its place.
@@ -21,16 +21,16 @@ from pathlib import Path
 from typing import TypeVar
 
 from raygrid.emulator.topology import LONGEST_PATH, STATES, process_state
-from raygrid.host.client.protocol import VERSION, Message, Splitter, pack, unsendable
+from raygrid.host.client.facts import ENDED
+from raygrid.host.client.protocol import VERSION, Message, message_splitter, pack, unsendable
 from raygrid.host.client.service_files import SOCKET, TOKEN, ServiceRecord, check_private, read_private
 from raygrid.node.errors import ArrayError, ProtocolError
 
 ANSWER_SECONDS = 20.0  # a service that lives answers at once
 QUIET_SECONDS = 30.0  # without any news of a job, after which the service is asked how it is
-FIRST_WAIT, LONGEST_WAIT = 0.01, 0.25  # seconds between two attempts at a door where others wait
+FIRST_WAIT, LONGEST_WAIT = 0.01, 0.25  # seconds between two attempts to connect where others wait
 MOST_KEPT = 1000  # events that wait for a listener, above which it is not told of progress and samples
 PASSING = ("progress", "sample")  # events that are outdated by the next
-ENDED = ("done", "failed", "cancelled")
 
 T = TypeVar("T")
 
@@ -95,7 +95,7 @@ class Connection:
     def __init__(self, record: ServiceRecord, timeout: float = ANSWER_SECONDS) -> None:
         """Connect and be let in. Raises ArrayError if there is no service, or if it does not answer."""
         self.record, self._timeout = record, timeout
-        self._splitter = Splitter()
+        self._splitter = message_splitter()
         self._changed = threading.Condition()  # holds all that follows, but for the bytes of the socket
         self._sending = threading.Lock()
         self._reading = self._closed = False
@@ -119,7 +119,7 @@ class Connection:
                 raise ArrayError(str(answer["error"]))
             time.sleep(wait)
             wait = min(2.0 * wait, LONGEST_WAIT)
-            self._splitter, self._broken, self._parting = Splitter(), "", ""
+            self._splitter, self._broken, self._parting = message_splitter(), "", ""
 
     # --- asking ---------------------------------------------------------------------------------------
 
@@ -170,7 +170,7 @@ class Connection:
         try:
             with self._changed:
                 if self._broken:
-                    raise ArrayError(self._told())
+                    raise ArrayError(self._why_broken())
                 self._slots.append(slot)
             left = memoryview(data)
             try:
@@ -180,14 +180,14 @@ class Connection:
                 raise self._silent(seconds) from None
             finally:
                 if left:
-                    self._give_up(slot, whole=len(left) == len(data))
+                    self._give_up(slot, untouched=len(left) == len(data))
         finally:
             self._sending.release()
 
-    def _give_up(self, slot: _Slot, whole: bool) -> None:
-        """A request was not sent; nothing of it was if `whole`."""
+    def _give_up(self, slot: _Slot, untouched: bool) -> None:
+        """A request was not sent; nothing of it was if `untouched`."""
         with self._changed:
-            if whole:
+            if untouched:
                 self._slots.remove(slot)
             else:
                 self._broken = self._broken or "a request was sent in part"
@@ -219,7 +219,7 @@ class Connection:
                     if found is not None:
                         return found
                     if self._broken:
-                        raise ArrayError(self._told())
+                        raise ArrayError(self._why_broken())
                     left = None if deadline is None else deadline - time.monotonic()
                     if left is not None and left <= 0.0:
                         return None
@@ -273,7 +273,7 @@ class Connection:
 
     # --- words ----------------------------------------------------------------------------------------
 
-    def _told(self) -> str:
+    def _why_broken(self) -> str:
         """Why nothing more can be said and heard, as things are now."""
         name, pid = self.record.name, self.record.pid
         if self._closed:
@@ -306,9 +306,9 @@ def _token(record: ServiceRecord) -> str:
 
 
 def _reach(record: ServiceRecord, deadline: float, timeout: float) -> socket.socket:
-    """A socket at the door of a service. Raises ArrayError.
+    """A socket that is connected to a service. Raises ArrayError.
 
-    A service that is busy, or stopped for a moment, lets a few wait at its door and turns the others away (EAGAIN): who
+    A service that is busy, or stopped for a moment, lets a few wait and turns the others away (EAGAIN): who
     comes again is let in as soon as it goes on.
     """
     path = os.path.join(record.directory, SOCKET)
@@ -321,14 +321,14 @@ def _reach(record: ServiceRecord, deadline: float, timeout: float) -> socket.soc
         raise ArrayError(f"{path}: a socket's path is that long, wanted at most {LONGEST_PATH} bytes")
     wait = FIRST_WAIT
     while True:
-        door = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK)
+        fresh = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK)
         try:
-            door.connect(path)
-            return door
+            fresh.connect(path)
+            return fresh
         except BlockingIOError:
-            door.close()
+            fresh.close()
         except OSError as error:
-            door.close()
+            fresh.close()
             if not record.alive:
                 raise ArrayError(f"the array {record.name!r} (process {record.pid}) is gone") from None
             why = error.strerror or str(error)
@@ -349,10 +349,10 @@ def _silent(record: ServiceRecord, seconds: float) -> ArrayError:
     )
 
 
-def _poll(door: socket.socket, event: int, seconds: float | None) -> bool:
+def _poll(stream: socket.socket, event: int, seconds: float | None) -> bool:
     """Whether a socket is ready within that time."""
     poller = select.poll()
-    poller.register(door, event)
+    poller.register(stream, event)
     return bool(poller.poll(None if seconds is None else max(0.0, seconds) * 1000.0))
 
 
@@ -365,6 +365,3 @@ def _packed(request: Message) -> bytes:
         return pack(request)
     except ProtocolError as error:
         raise ArrayError(str(error)) from None
-
-
-__all__ = ["ANSWER_SECONDS", "ENDED", "QUIET_SECONDS", "Connection", "EventListener"]

@@ -1,28 +1,22 @@
-"""Messages between a client and an array that stays: maps in msgpack, each behind its length. No socket in here.
+"""Packs and reads the messages between a client and an array that stays: maps in msgpack, each behind its length.
 
-    +--------------------+-------------------+
-    | length, u32 little | one map, msgpack  |
-    +--------------------+-------------------+
-
-What comes is checked before it is used: the length before it is waited for, the number of items and the depth of
+No socket in here. What comes is checked before it is used: the length before it is waited for, the number of items and the depth of
 nesting, and that there are only strings, numbers, booleans, nothing, lists and maps with string keys.
 """
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator
 from typing import Any
 
 import msgpack
 
 from raygrid.node.errors import ProtocolError
-from raygrid.node.protocol import MapLimits, read_map
+from raygrid.node.protocol import MapLimits, Splitter, framed, read_map
 
 Message = dict[str, Any]
 
 VERSION = 1
-LENGTH = struct.Struct("<I")
 LONGEST = 1 << 23  # bytes of a message
 LONGEST_GREETING = 1 << 10  # of the first message of a client, before it is known
 MOST_ITEMS = 1 << 17  # of a list or map
@@ -45,7 +39,7 @@ def pack(message: Message, escape: bool = False) -> bytes:
         raise ProtocolError(f"a message cannot be sent: {str(error).splitlines()[0][:200]}") from None
     if len(body) > LONGEST:
         raise ProtocolError(f"a message of {len(body)} bytes was to be sent, wanted at most {LONGEST}")
-    return LENGTH.pack(len(body)) + body
+    return framed(body)
 
 
 def unpack(body: bytes | bytearray) -> Message:
@@ -55,7 +49,7 @@ def unpack(body: bytes | bytearray) -> Message:
     return message
 
 
-def _check_plain(value: Message | list[Any]) -> None:
+def _check_plain(value: Message | list[object]) -> None:
     for inner in value.values() if isinstance(value, dict) else value:
         if isinstance(inner, dict | list):
             _check_plain(inner)
@@ -63,38 +57,9 @@ def _check_plain(value: Message | list[Any]) -> None:
             raise ProtocolError(f"a message came with {type(inner).__name__}, wanted plain text and numbers")
 
 
-class Splitter:
-    """Cuts a stream of bytes into messages.
-
-    longest   bytes of the longest message that is taken; may be changed between messages
-    """
-
-    def __init__(self, longest: int = LONGEST) -> None:
-        self.longest = longest
-        self._held = bytearray()
-
-    @property
-    def held(self) -> int:
-        """Bytes of a message that has not come whole."""
-        return len(self._held)
-
-    def feed(self, piece: bytes) -> None:
-        """Take in what has come."""
-        self._held += piece
-
-    def next(self) -> Message | None:
-        """The next whole message, None if there is none yet. Raises ProtocolError."""
-        if len(self._held) < LENGTH.size:
-            return None
-        (length,) = LENGTH.unpack_from(self._held)
-        if length > self.longest:
-            raise ProtocolError(f"a message of {length} bytes came, wanted at most {self.longest}")
-        end = LENGTH.size + length
-        if len(self._held) < end:
-            return None
-        body = bytes(self._held[LENGTH.size : end])
-        del self._held[:end]
-        return unpack(body)
+def message_splitter(longest: int = LONGEST) -> Splitter[Message]:
+    """Cuts what comes from the other side into messages."""
+    return Splitter(unpack, longest)
 
 
 def unsendable(message: Message) -> str:
@@ -104,7 +69,7 @@ def unsendable(message: Message) -> str:
     return ""
 
 
-def _wrong(value: Any, place: str, deeper: int) -> Iterator[tuple[str, Any, str]]:
+def _wrong(value: object, place: str, deeper: int) -> Iterator[tuple[str, object, str]]:
     if isinstance(value, dict | list):
         if deeper == 0 or len(value) > MOST_ITEMS:
             yield place, value, f"at most {MOST_ITEMS} items, and at most {DEEPEST} lists and maps within each other"
@@ -131,11 +96,11 @@ def _is_torn(text: str) -> bool:
     return any("\ud800" <= letter <= "\udfff" for letter in text)
 
 
-def _name(key: Any) -> str:
+def _name(key: object) -> str:
     return key[:SHOWN] if isinstance(key, str) and key.isprintable() else shown(key)
 
 
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     """A value as an error names it: as Python writes it, made short."""
     if type(value) is int and value.bit_length() > 512:  # thousands of digits take long to write, or are refused
         return f"a whole number of {value.bit_length()} bits"

@@ -1,4 +1,4 @@
-"""What a client may ask of an array that stays, checked key by key before anything is done.
+"""Checks what a client asks of an array that stays, key by key, before anything is done.
 
 docs/service.md describes each request and its answer.
 """
@@ -6,7 +6,7 @@ docs/service.md describes each request and its answer.
 from __future__ import annotations
 
 import os
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -21,22 +21,23 @@ from pydantic import (
 
 from raygrid.host.client.protocol import Message, shown
 from raygrid.host.image.frames import LAST_FRAME, MOST_FRAMES, check_job
+from raygrid.host.text.bounds import (
+    LONGEST_CLIENT,
+    LONGEST_PATH,
+    MAX_BUDGET,
+    MAX_DEPTH,
+    MAX_FRAMES,
+    MAX_JOB,
+    MAX_PIXELS,
+    MAX_PRIORITY,
+    MAX_RATE,
+    MAX_SAMPLES,
+    MAX_SIDE,
+    MAX_WEIGHT,
+    MOST_LISTED,
+    MOST_OUTPUTS,
+)
 from raygrid.node.errors import OutputError, ProtocolError
-
-LONGEST_PATH = 4096
-# Bounds of others (`host.render.job`, `host.scene.animation.animation`, `node.protocol.commands`, `node.protocol.packets`, `node.runtime.probe`), as numbers: this module stays light,
-# and tests/host/client/test_requests.py holds them to be the same.
-MAX_FRAMES = 1_000_000  # of a turntable
-MAX_SIDE = 65_536
-MAX_PIXELS = 1 << 28
-MAX_DEPTH = 31
-FASTEST = 100.0  # samples a second
-MOST_PRIORITY = 100
-MOST_OUTPUTS = 16
-MOST_JOBS = 10_000  # that one request names
-MOST_SAMPLES = 1 << 32
-MOST_BUDGET = (1 << 32) - 1
-LONGEST_CLIENT = 64  # characters
 
 _PATH = f"an absolute path of at most {LONGEST_PATH} characters"
 _SWITCH = "true or false"
@@ -49,9 +50,9 @@ WANTED = {
     "program": _PATH,
     "settings": "a map",
     "settings.size": f"sides of 1 to {MAX_SIDE} and at most {MAX_PIXELS:,} pixels, such as 640x480",
-    "settings.samples": f"a whole number from 1 to {MOST_SAMPLES}",
+    "settings.samples": f"a whole number from 1 to {MAX_SAMPLES}",
     "settings.depth": f"a whole number from 1 to {MAX_DEPTH}",
-    "settings.min_weight": "a number from 0 to 1e+30",
+    "settings.min_weight": f"a number from 0 to {MAX_WEIGHT}",
     "settings.highlights": _SWITCH,
     "settings.split": "balanced or uniform",
     "frames": f"the first and the last of at most {MOST_FRAMES:,} frames, from 1 to {LAST_FRAME}",
@@ -59,16 +60,16 @@ WANTED = {
     "turntable.frames": f"a whole number from 1 to {MAX_FRAMES:,}",
     "turntable.scene": _SWITCH,
     "transfer": "srgb or linear",
-    "budget": f"a whole number from 1 to {MOST_BUDGET}",
+    "budget": f"a whole number from 1 to {MAX_BUDGET}",
     "resume": _SWITCH,
-    "priority": f"a whole number from -{MOST_PRIORITY} to {MOST_PRIORITY}",
+    "priority": f"a whole number from -{MAX_PRIORITY} to {MAX_PRIORITY}",
     "client": f"text of at most {LONGEST_CLIENT} characters",
     "follow": _SWITCH,
     "job": "the number of a job",
-    "jobs": f"the numbers of at most {MOST_JOBS:,} jobs",
-    "ended": f"a whole number from 0 to {MOST_JOBS:,}",
+    "jobs": f"the numbers of at most {MOST_LISTED:,} jobs",
+    "ended": f"a whole number from 0 to {MOST_LISTED:,}",
     "after": "the number of a job, or 0",
-    "rate": f"0 to {FASTEST:g} samples a second",
+    "rate": f"0 to {MAX_RATE:g} samples a second",
     "finish": _SWITCH,
     "cancel": _SWITCH,
 }
@@ -92,7 +93,7 @@ def _few_pixels(size: tuple[int, int]) -> tuple[int, int]:
 Size = Annotated[tuple[Side, Side], Strict(False), AfterValidator(_few_pixels)]  # msgpack has lists, no tuples
 Path = Annotated[str, Field(max_length=LONGEST_PATH), AfterValidator(_absolute)]
 Frame = Annotated[int, Field(ge=1, le=LAST_FRAME)]
-Number = Annotated[int, Field(ge=1, le=(1 << 53))]
+Number = Annotated[int, Field(ge=1, le=MAX_JOB)]
 
 
 class Strictly(BaseModel):
@@ -102,12 +103,12 @@ class Strictly(BaseModel):
 
 
 class SettingsOf(Strictly):
-    """`raygrid.host.render.job.Settings`."""
+    """`raygrid.host.render.machine_job.Settings`."""
 
     size: Size | None = None
-    samples: Annotated[int, Field(ge=1, le=MOST_SAMPLES)] | None = None
+    samples: Annotated[int, Field(ge=1, le=MAX_SAMPLES)] | None = None
     depth: Annotated[int, Field(ge=1, le=MAX_DEPTH)] | None = None
-    min_weight: Annotated[float, Field(ge=0.0, le=1e30)] | None = None
+    min_weight: Annotated[float, Field(ge=0.0, le=MAX_WEIGHT)] | None = None
     highlights: bool | None = None
     split: Literal["balanced", "uniform"] = "balanced"
 
@@ -139,12 +140,12 @@ class SubmitMessage(Strictly):
     outputs: Annotated[list[Path], Field(min_length=1, max_length=MOST_OUTPUTS)]
     stats: Path | None = None
     transfer: Literal["srgb", "linear"] = "srgb"
-    budget: Annotated[int, Field(ge=1, le=MOST_BUDGET)] = 1 << 20
+    budget: Annotated[int, Field(ge=1, le=MAX_BUDGET)] = 1 << 20
     resume: bool = False
     client: Annotated[str, Field(max_length=LONGEST_CLIENT)] = ""
     turntable: TurntableOf | None = None
     program: Path | None = None
-    priority: Annotated[int, Field(ge=-MOST_PRIORITY, le=MOST_PRIORITY)] = 0
+    priority: Annotated[int, Field(ge=-MAX_PRIORITY, le=MAX_PRIORITY)] = 0
     follow: bool = Field(default=False, exclude=True)
 
     @model_validator(mode="after")
@@ -171,15 +172,15 @@ class CancelMessage(Strictly):
     """Cancel jobs; None: all."""
 
     do: Literal["cancel"]
-    jobs: Annotated[list[Number], Field(max_length=MOST_JOBS)] | None
+    jobs: Annotated[list[Number], Field(max_length=MOST_LISTED)] | None
 
 
 class JobsMessage(Strictly):
     """List jobs: those that have not ended, and the last `ended` of those that have. `after`: only higher numbers."""
 
     do: Literal["jobs"]
-    ended: Annotated[int, Field(ge=0, le=MOST_JOBS)] = 10
-    after: Annotated[int, Field(ge=0, le=(1 << 53))] = 0
+    ended: Annotated[int, Field(ge=0, le=MOST_LISTED)] = 10
+    after: Annotated[int, Field(ge=0, le=MAX_JOB)] = 0
 
 
 class StatusMessage(Strictly):
@@ -192,7 +193,7 @@ class ProbeMessage(Strictly):
     """Tell how the nodes stand, `rate` times a second each, until the client leaves or asks for 0."""
 
     do: Literal["probe"]
-    rate: Annotated[float, Field(ge=0.0, le=FASTEST)]
+    rate: Annotated[float, Field(ge=0.0, le=MAX_RATE)]
 
 
 class ResetMessage(Strictly):
@@ -227,7 +228,7 @@ def read_request(message: Message) -> Request:
     try:
         return _REQUEST.validate_python(message)
     except ValidationError as error:
-        raise ProtocolError(_told(error, message)) from None
+        raise ProtocolError(_first_fault(error, message)) from None
 
 
 def read_job(message: Message) -> SubmitMessage:
@@ -235,12 +236,12 @@ def read_job(message: Message) -> SubmitMessage:
     try:
         return SubmitMessage.model_validate(message)
     except ValidationError as error:
-        raise ProtocolError(f"a job of the journal is none: {_told(error, message)}") from None
+        raise ProtocolError(f"a job of the journal is none: {_first_fault(error, message)}") from None
 
 
-def _told(error: ValidationError, message: Message) -> str:
+def _first_fault(error: ValidationError, message: Message) -> str:
     """What is wrong with a map, by its first fault: what came and what was wanted."""
-    first: Any = error.errors(include_url=False)[0]
+    first = error.errors(include_url=False)[0]
     steps = [str(step) for step in first["loc"] if not isinstance(step, int)]
     if steps and steps[0] == message.get("do"):  # that is how pydantic says which of the requests it is
         del steps[0]
@@ -257,14 +258,15 @@ def _told(error: ValidationError, message: Message) -> str:
     return f"{name.removeprefix('settings.') or 'a request'} {said}, wanted {WANTED.get(name, first['msg'])}"
 
 
-def _at(message: Message, steps: list[str]) -> Any:
+def _at(message: Message, steps: list[str]) -> object:
     """What stands at a place in a message."""
-    found: Any = message
+    found: object = message
     for step in steps:
         found = found.get(step) if isinstance(found, dict) else None
     return found
 
 
-def _shown(value: Any, name: str) -> str:
-    is_size = name == "settings.size" and isinstance(value, list | tuple) and len(value) == 2
-    return "x".join(map(shown, value)) if is_size and all(type(side) is int for side in value) else shown(value)
+def _shown(value: object, name: str) -> str:
+    if name == "settings.size" and isinstance(value, list | tuple) and [type(side) for side in value] == [int, int]:
+        return "x".join(map(shown, value))
+    return shown(value)

@@ -1,4 +1,4 @@
-"""Where an array that stays keeps its files, found by its name.
+"""Finds and keeps the files of an array that stays, by its name.
 
 $XDG_STATE_HOME/raygrid/NAME/       (~/.local/state/raygrid/NAME/), mode 0700; stays when the array ends
     journal.sqlite                  jobs and frames (`journal`)
@@ -21,9 +21,9 @@ import re
 import stat
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from raygrid.emulator.topology import process_mark
+from raygrid.host.files.part_files import replacing
 from raygrid.host.files.state_home import state_home
 from raygrid.node.errors import ArrayError
 
@@ -225,18 +225,8 @@ def runs_already(directory: Path) -> ArrayError:
 
 def write_private(path: Path, text: str) -> None:
     """Write a file with mode 0600, whole or not at all. Raises OSError."""
-    part = path.with_name(f".{path.name}.part")
-    with contextlib.suppress(FileNotFoundError):
-        part.unlink()
-    descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
-    try:
-        with open(descriptor, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.replace(part, path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            part.unlink()
-        raise
+    with replacing(str(path), mode=0o600) as (_, file):
+        file.write(text.encode())
 
 
 def read_private(path: Path) -> str:
@@ -262,7 +252,7 @@ def read_record(directory: Path) -> ServiceRecord | None:
     if not os.path.lexists(directory / RECORD):
         return None
     try:
-        facts: dict[str, Any] = json.loads(read_private(directory / RECORD))
+        facts = json.loads(read_private(directory / RECORD))
         nx, ny, nz = map(int, facts["shape"])
         return ServiceRecord(
             str(facts["name"]),

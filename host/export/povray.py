@@ -19,7 +19,7 @@ import numpy as np
 from raygrid.host.export.povray_surfaces import MaterialWriter, surface_lines, vector
 from raygrid.host.files.input_guard import check_outputs, note, noted
 from raygrid.host.image.outputs import check_path, write_whole
-from raygrid.host.render.job import DEFAULT_DEPTH, DEFAULT_SIZE
+from raygrid.host.render.machine_job import DEFAULT_DEPTH, DEFAULT_SIZE
 from raygrid.host.scene.animation.animation import frame_told, still
 from raygrid.host.scene.cameras import Camera, Span
 from raygrid.host.scene.load import load_scene

@@ -32,16 +32,22 @@ _swept: dict[tuple[str, str], float] = {}  # when this process has looked throug
 
 
 @contextlib.contextmanager
-def part_file(folder: str, suffix: str = "") -> Iterator[tuple[str, BinaryIO]]:
-    """A new file in a folder, to be renamed when it is whole; removed if it is not. Raises OSError."""
+def replacing(path: str, suffix: str = "", mode: int = 0o666) -> Iterator[tuple[str, BinaryIO]]:
+    """A new file beside the one at `path`, whose place it takes when the block ends; removed if that fails.
+
+    suffix  of the new file's name until then; mode: of the file, less the umask
+    Raises OSError.
+    """
+    folder = os.path.dirname(path)
     _sweep_once(folder, FILE_NAME, stat.S_ISREG)
-    path, descriptor = _locked(folder, FILE, suffix, _make_file)
+    part, descriptor = _locked(folder, FILE, suffix, lambda part: _make_file(part, mode))
     try:
         with open(os.dup(descriptor), "wb") as file:  # closing this one keeps the lock
-            yield path, file
+            yield part, file
+        os.replace(part, path)  # only now, when it is closed, all errors of the disk are known
     finally:
         with contextlib.suppress(OSError):
-            os.unlink(path)  # gone if it was renamed
+            os.unlink(part)  # gone if it was renamed
         os.close(descriptor)
 
 
@@ -128,8 +134,8 @@ def _is_there(path: str, descriptor: int) -> bool:
         return False
 
 
-def _make_file(path: str) -> int:
-    return os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+def _make_file(path: str, mode: int) -> int:
+    return os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
 
 
 def _make_directory(path: str) -> int:

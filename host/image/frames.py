@@ -1,4 +1,4 @@
-"""Frames of a job: their numbers, the names of their files, and how each is made of the scene. Light to import.
+"""Reads the numbers of a job's frames and the names of their files. Light to import.
 
 The grammar of a name, the same for `render` and `submit`: %d, %4d or %04d stands for the frame's number, %% for a %.
 A name without a number is that of one picture, or of a file that plays and holds all frames.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -19,6 +19,7 @@ from raygrid.node.errors import SceneError
 FIELD = re.compile(r"%(?:(?P<width>0?[1-9])?d|%)")
 LAST_FRAME = 999_999_999
 MOST_FRAMES = 100_000  # of a job
+LONGEST_NUMBER = 1_000_000  # of a shot whose length is not known yet
 PLAYED = (".gif", ".webp", ".mp4")  # a .webp plays only if several frames are asked for
 ONLY_PLAYED = (".gif", ".mp4")
 
@@ -73,21 +74,26 @@ def is_played(pattern: str, shot: bool) -> bool:
     return not has_number(pattern) and (suffix in ONLY_PLAYED or (shot and suffix in PLAYED))
 
 
-def wants_shot(frames: Ends | None, turns: bool, patterns: Iterable[str]) -> bool:
+def wants_shot(frames: Ends | None, turns: bool, outputs: Sequence[str], stats: str | None = None) -> bool:
     """Whether frames of a shot are asked for, and not a picture of the scene as it stands.
 
     frames    what was asked for by number, or None; `turns`: by a turntable
-    patterns  of all files that a frame has: names with a number ask for the whole shot
+    outputs, stats  patterns of all files that a frame has: names with a number ask for the whole shot
     """
-    return frames is not None or turns or any(has_number(name) or is_played(name, False) for name in patterns)
+    return frames is not None or turns or _asks_for_shot(outputs, stats) is not None
 
 
-def check_patterns(outputs: Iterable[str], stats: str | None, frames: Ends | None, shot: bool) -> None:
+def _asks_for_shot(outputs: Sequence[str], stats: str | None) -> str | None:
+    """The first of the patterns that is one of several frames, None if there is none. Raises OutputError."""
+    patterns = (*outputs, *([] if stats is None else [stats]))
+    return next((name for name in patterns if has_number(name) or is_played(name, False)), None)
+
+
+def check_patterns(outputs: Sequence[str], stats: str | None, frames: Ends | None, shot: bool) -> None:
     """Raise OutputError if the files of several frames would have one name, or a name says not what it is.
 
     frames  first and last, or None: all of a shot, whose length is not known yet
     """
-    outputs = list(outputs)
     for pattern in (*outputs, *([] if stats is None else [stats])):
         if _places(pattern) > 1:
             raise OutputMisuse(
@@ -105,16 +111,56 @@ def check_patterns(outputs: Iterable[str], stats: str | None, frames: Ends | Non
         raise OutputMisuse(f"{stats}: statistics of several frames came, wanted a number such as %04d in the name")
 
 
-def check_job(outputs: Iterable[str], stats: str | None, frames: Ends | None) -> None:
+def check_job(outputs: Sequence[str], stats: str | None, frames: Ends | None) -> None:
     """Raise OutputError for names of files that a job cannot have. `frames`: those that it names, or None."""
-    outputs = list(outputs)
-    patterns = [*outputs, *([] if stats is None else [stats])]
-    if frames is None and wants_shot(None, False, patterns):
-        name = next(name for name in patterns if has_number(name) or is_played(name, False))
+    if frames is None and (name := _asks_for_shot(outputs, stats)) is not None:
         raise OutputMisuse(
             f"{name}: the output is one of several frames and none were named, wanted frames such as 1-48"
         )
     check_patterns(outputs, stats, frames, frames is not None)
+
+
+@dataclass(frozen=True)
+class FrameNames:
+    """The names of the files of a job's frames.
+
+    single  patterns of files that each frame has for its own
+    played  files that hold all frames
+    stats   pattern of the statistics that each frame has, or None
+    """
+
+    single: tuple[str, ...]
+    played: tuple[str, ...]
+    stats: str | None
+
+    @classmethod
+    def split(cls, outputs: Sequence[str], stats: str | None, shot: bool) -> FrameNames:
+        """The patterns told apart; `shot`: whether frames of a shot are asked for. Raises OutputError."""
+        played = [pattern for pattern in outputs if is_played(pattern, shot)]
+        single = tuple(pattern for pattern in outputs if pattern not in played)
+        return cls(single, tuple(path_of(pattern, None) for pattern in played), stats)
+
+    @classmethod
+    def checked(cls, outputs: Sequence[str], stats: str | None, frames: Ends | None, shot: bool) -> FrameNames:
+        """As `split`, of what was asked for. Raises OutputError as `check_patterns` does."""
+        check_patterns(outputs, stats, frames, shot)
+        return cls.split(outputs, stats, shot)
+
+    def of(self, frame: int | None) -> list[str]:
+        """The pictures that a frame has for its own."""
+        return [path_of(pattern, frame) for pattern in self.single]
+
+    def stats_of(self, frame: int | None) -> str | None:
+        """Where the statistics of a frame go."""
+        return None if self.stats is None else path_of(self.stats, frame)
+
+    def every(self, frames: Iterable[int | None]) -> Iterator[str]:
+        """All files of these frames that are written."""
+        yield from self.played
+        for frame in frames:
+            yield from self.of(frame)
+            if self.stats is not None:
+                yield path_of(self.stats, frame)
 
 
 class _Shot(Protocol):
@@ -127,6 +173,11 @@ class _Scene(Protocol):
     def name(self) -> str: ...
     @property
     def shot(self) -> _Shot | None: ...
+
+
+def longest_number(frames: Ends | None) -> int:
+    """The number of the frame whose names are looked at before the work, for all: none is longer. None: all frames."""
+    return LONGEST_NUMBER if frames is None else frames[1]
 
 
 def frames_of(scene: _Scene, frames: Ends | None) -> range:

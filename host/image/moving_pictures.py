@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from raygrid.host.files.input_guard import check_kept
-from raygrid.host.files.part_files import PartFolder, part_file
+from raygrid.host.files.part_files import PartFolder, replacing
 from raygrid.host.image.outputs import check_named, suffix_of, write_whole
 from raygrid.node.errors import OutputError
 
@@ -114,11 +114,10 @@ class Reel:
         command += ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-c:v", "libx264", "-crf", "18", "-pix_fmt", "yuv420p"]
         command += ["-frames:v", str(len(numbers))]
         try:
-            with part_file(os.path.dirname(target), ".mp4") as (part, file):
+            with replacing(target, ".mp4") as (part, file):
                 self._run([*command, part], path, limit)
                 os.fsync(file.fileno())
                 self._look_through(part, path, len(numbers), limit)
-                os.replace(part, target)
         except OSError as error:
             raise OutputError(f"{path}: the film cannot be written by ffmpeg ({error.strerror or error})") from None
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import IO, BinaryIO, NamedTuple
 
 from raygrid.host.files.input_guard import STANDARD, check_kept
-from raygrid.host.files.part_files import part_file
+from raygrid.host.files.part_files import replacing
 from raygrid.host.text.misuse import OutputMisuse
 from raygrid.host.text.tables import folded
 from raygrid.node.errors import OutputError
@@ -173,10 +173,8 @@ def write_whole(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
             with open(target, "wb", opener=_open_device) as file:
                 write(file)
             return
-        with part_file(os.path.dirname(target)) as (part, file):
+        with replacing(target) as (_, file):
             write(file)
-            file.close()  # only now all errors of the disk are known
-            os.replace(part, target)
     except OSError as error:
         raise OutputError(f"{path}: the file cannot be written ({error.strerror or error})") from None
 

@@ -1,4 +1,4 @@
-"""The jobs of an array that is not up, read out of its journal. Nothing in it is changed.
+"""Reads the jobs of an array that is not up out of its journal. Nothing in it is changed.
 
 A row that cannot be read is told as such, and keeps no other from being read.
 """
@@ -9,19 +9,19 @@ import contextlib
 import json
 import sqlite3
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-from raygrid.host.client.connection import ENDED
+from raygrid.host.client.facts import ENDED, JobFacts
 from raygrid.node.errors import OutputError
 
 BUSY_SECONDS = 5.0
 TIMES = ("submitted", "begun", "ended")  # those that the journal has
 UNREADABLE = "unreadable"  # the state of a job whose row is none
 
-Facts = dict[str, Any]
+Row = dict[str, Any]  # of the table of jobs, or what was submitted
 
 
-def journal_facts(path: Path, ended: int) -> list[Facts]:
+def journal_facts(path: Path, ended: int) -> list[JobFacts]:
     """The last `ended` jobs that have ended, and all that have not, each oldest first; facts as of `raygrid jobs --json`.
 
     Raises OutputError if it is no journal.
@@ -46,7 +46,7 @@ def journal_facts(path: Path, ended: int) -> list[Facts]:
     return [_facts({name: row[name] for name in row.keys()}) for row in rows]  # noqa: SIM118  (a Row is no map)
 
 
-def _facts(row: Facts) -> Facts:
+def _facts(row: Row) -> JobFacts:
     row = {
         name: value.decode(errors="backslashreplace") if isinstance(value, bytes) else value
         for name, value in row.items()
@@ -58,7 +58,7 @@ def _facts(row: Facts) -> Facts:
     frames = request.get("frames")
     first, last = frames or (None, None)
     count = 1 if frames is None else frames[1] - frames[0] + 1
-    return {
+    facts = {
         "job": row["job"],
         "state": row["state"],
         "client": row["client"],
@@ -73,11 +73,12 @@ def _facts(row: Facts) -> Facts:
         **{name: row[name] for name in TIMES if name in row},
         "error": error,
     }
+    return cast(JobFacts, facts)
 
 
-def _request(text: str) -> Facts:
+def _request(text: str) -> Row:
     """What was submitted. Raises ValueError for what cannot have been."""
-    request = json.loads(text)
+    request: Row = json.loads(text)
     if not isinstance(request, dict):
         raise ValueError("it is no map")
     frames, outputs = request.get("frames"), request.get("outputs")

@@ -1,4 +1,4 @@
-"""The journal: jobs and frames on disk, so that they survive the service. SQLite, in write-ahead mode.
+"""Records jobs and frames on disk, so that they survive the service. SQLite, in write-ahead mode.
 
 A job that is neither done, failed nor cancelled comes back at the next start, without the frames that are recorded as
 done. A frame is recorded after its files are in place; one that was written and not recorded is rendered again, to
@@ -20,12 +20,12 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from raygrid.host.client.facts import ENDED
 from raygrid.host.text.clean_text import printable
 from raygrid.node.errors import OutputError
 
 VERSION = 2  # 1 did not say when a job was begun
 KEPT = 1000  # jobs that have ended
-ENDED = ("done", "failed", "cancelled")
 BUSY_SECONDS = 5.0
 TABLES = """
 create table if not exists jobs (
@@ -86,7 +86,7 @@ class JobRow(NamedTuple):
 
     job: int
     client: str
-    request: dict[str, Any]
+    request: dict[str, object]
     submitted: float
     begun: float | None
     ended: float | None
@@ -106,14 +106,14 @@ class Journal:
         """Open it, or make it. Raises Damaged for a file that is no journal, OutputError for what else is wrong."""
         self.path = path
         self.remarks: list[str] = []
-        with self._told():
+        with self._our_errors():
             # made by us first, because SQLite would make it readable for all
             os.close(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600))
             self._base = sqlite3.connect(path, timeout=BUSY_SECONDS, isolation_level=None)
         self._base.text_factory = bytes  # or one text that is no UTF-8 would keep all rows from being read
         try:
             self._check()
-            with self._told():
+            with self._our_errors():
                 self._set_up()
             self._check()
         except BaseException:
@@ -138,7 +138,7 @@ class Journal:
 
     def _check(self) -> None:
         """Raise Damaged if pages or columns are not as they should be, OutputError for a later version. Writes nothing."""
-        with self._told():
+        with self._our_errors():
             (version,) = self._base.execute("pragma user_version").fetchone()
             (found,) = self._base.execute("pragma quick_check(1)").fetchone()
             columns = self._columns()
@@ -160,7 +160,7 @@ class Journal:
         return self._look() == self._files
 
     @contextlib.contextmanager
-    def _told(self) -> Iterator[None]:
+    def _our_errors(self) -> Iterator[None]:
         """Errors of the disk and of SQLite as ours."""
         try:
             yield
@@ -176,7 +176,7 @@ class Journal:
     @contextlib.contextmanager
     def _change(self) -> Iterator[sqlite3.Connection]:
         """A transaction: all or nothing."""
-        with self._told():
+        with self._our_errors():
             self._base.execute("begin immediate")
             try:
                 yield self._base
@@ -186,7 +186,7 @@ class Journal:
                     self._base.execute("rollback")
                 raise
 
-    def add(self, client: str, request: dict[str, Any]) -> int:
+    def add(self, client: str, request: dict[str, object]) -> int:
         """Record a new job; returns its number. Raises OutputError, and then it is not recorded."""
         row = (printable(client), json.dumps(request), time.time())
         with self._change() as base:
@@ -243,7 +243,7 @@ class Journal:
 
     def is_recorded(self, path: str, digest: str) -> bool:
         """Whether this file was written with that digest, and nobody has touched it since. Raises OutputError."""
-        with self._told():
+        with self._our_errors():
             row = self._base.execute("select digest, size, changed from files where path = ?", (path,)).fetchone()
         try:
             status = os.stat(path)
@@ -266,19 +266,19 @@ class Journal:
 
     def frames_done(self, job: int) -> set[int]:
         """The frames of a job that are recorded. Raises OutputError."""
-        with self._told():
+        with self._our_errors():
             return {frame for (frame,) in self._base.execute("select frame from frames where job = ?", (job,))}
 
     def counts(self) -> dict[str, int]:
         """Jobs by state. Raises OutputError."""
-        with self._told():
+        with self._our_errors():
             found = self._base.execute("select cast(state as blob), count(*) from jobs group by state").fetchall()
         return {state.decode(errors="replace"): count for state, count in found}
 
     def _rows(self, which: str, values: Record) -> list[JobRow]:
         done = "(select count(*) from frames where frames.job = jobs.job)"
         skipped = "(select cast(coalesce(sum(skipped), 0) as integer) from frames where frames.job = jobs.job)"
-        with self._told():
+        with self._our_errors():
             found = self._base.execute(f"select {', '.join(COLUMNS)}, {done}, {skipped} from jobs {which}", values)
             rows = found.fetchall()
         good = []
@@ -308,7 +308,7 @@ class Journal:
 def read_row(row: Record) -> JobRow:
     """A row of the table `jobs` in the order of COLUMNS, and how many frames are done and skipped. Raises ValueError."""
     job, client, request, submitted, begun, ended, state, error, done, skipped = row
-    wanted: Any = json.loads(_text("request", request))
+    wanted = json.loads(_text("request", request))
     if not isinstance(wanted, dict):
         raise ValueError(f"the request came as {type(wanted).__name__}, wanted a map")
     for name, value in (("submitted", submitted), ("begun", begun), ("ended", ended)):
@@ -320,7 +320,7 @@ def read_row(row: Record) -> JobRow:
     return JobRow(job, printable(_text("client", client)), wanted, *times, *texts, done, skipped)
 
 
-def _text(name: str, value: Any) -> str:
+def _text(name: str, value: object) -> str:
     if not isinstance(value, bytes):
         raise ValueError(f"{name} came as {type(value).__name__}, wanted text")
     return value.decode()

@@ -1,4 +1,4 @@
-"""A journal that SQLite cannot read is set aside as it is, and what can still be read of it goes on in a new one."""
+"""Sets aside a journal that SQLite cannot read, and goes on in a new one with what can still be read of it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Samples of probes as a trace file in Chrome's trace event format, which Perfetto and chrome://tracing open.
+"""Writes samples of probes as a trace file in Chrome's trace event format, which Perfetto and chrome://tracing open.
 
 Each node is a process of the trace: a bar for each phase that it was in, and counters for its busy and waiting share, the
 packets that wait in it by class, and packets served a second. Times are wall time of this computer.
@@ -16,6 +16,7 @@ from raygrid.host.probes.sums import Gauges, NodeFigures
 
 MOST_NODES = 64  # in one trace; more cannot be read
 Index = tuple[int, int, int]
+TraceEvent = dict[str, Any]
 
 
 class ChromeTrace:
@@ -26,7 +27,7 @@ class ChromeTrace:
         stride = -(-len(nodes) // MOST_NODES)
         self._pid = {node: number + 1 for number, node in enumerate(nodes) if number % stride == 0}
         self._gauges = Gauges(shape)
-        self._events: list[dict[str, Any]] = []
+        self._events: list[TraceEvent] = []
         self._since: dict[Index, NodeSample] = {}  # the first sample of the phase that a node is in
         self._last: dict[Index, NodeSample] = {}
         self._begun: float | None = None
@@ -70,7 +71,7 @@ class ChromeTrace:
     def _phase(self, first: NodeSample, end: float) -> None:
         self._events.append(self._bar(first, end))
 
-    def _bar(self, first: NodeSample, end: float) -> dict[str, Any]:
+    def _bar(self, first: NodeSample, end: float) -> TraceEvent:
         begin = self._at(first.time)
         return {
             "ph": "X",

@@ -1,4 +1,4 @@
-"""An HTTP server of figures for Prometheus, on loopback only, in a thread of its own.
+"""Serves figures for Prometheus over HTTP, on loopback only, in a thread of its own.
 
 A visit has a thread for as long as it takes, which is bounded, and so is the number of visits at once: who comes when
 there are too many takes the place of the one that has been there longest, and waits until that has gone. So connections
@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from socketserver import ThreadingMixIn
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
 
 from raygrid.node.errors import ArrayError
@@ -29,13 +29,14 @@ VISIT_SECONDS = 5.0
 LOOK_SECONDS = 0.25  # between two looks for visits that take too long
 PATH = "metrics"
 
+Visitor = socket.socket | tuple[bytes, socket.socket]  # as socketserver has it; here always the first
 Families = Callable[[], Iterator["Metric"]]
 
 
 class _Visit(WSGIRequestHandler):
     timeout = VISIT_SECONDS
 
-    def log_message(self, format: str, *arguments: Any) -> None:
+    def log_message(self, format: str, *arguments: object) -> None:
         """Say nothing."""
 
 
@@ -44,10 +45,10 @@ class _Server(ThreadingMixIn, WSGIServer):
 
     def __init__(self, address: tuple[str, int]) -> None:
         self._left = threading.Condition()  # one has gone
-        self._visits: dict[Any, float] = {}  # socket -> when it came, oldest first
+        self._visits: dict[Visitor, float] = {}  # socket -> when it came, oldest first
         super().__init__(address, _Visit)
 
-    def process_request(self, request: Any, client_address: Any) -> None:
+    def process_request(self, request: Visitor, client_address: object) -> None:
         """Begin a visit, in a thread of its own."""
         with self._left:
             # One for each that came since there were too many: those that were told to go may not have gone yet.
@@ -61,7 +62,7 @@ class _Server(ThreadingMixIn, WSGIServer):
             return
         super().process_request(request, client_address)
 
-    def shutdown_request(self, request: Any) -> None:
+    def shutdown_request(self, request: Visitor) -> None:
         """End a visit."""
         with self._left:
             self._visits.pop(request, None)
@@ -76,7 +77,7 @@ class _Server(ThreadingMixIn, WSGIServer):
                 if now - came > VISIT_SECONDS:
                     _hang_up(request)
 
-    def handle_error(self, request: Any, client_address: Any) -> None:
+    def handle_error(self, request: Visitor, client_address: object) -> None:
         """A visitor that is gone is nothing to speak of; a bug is."""
         if not isinstance(sys.exc_info()[1], OSError):
             super().handle_error(request, client_address)
@@ -89,9 +90,10 @@ class _Server(ThreadingMixIn, WSGIServer):
         self.server_close()  # waits for the threads
 
 
-def _hang_up(request: Any) -> None:
+def _hang_up(request: Visitor) -> None:
     """Let who reads or writes there find the end."""
     with contextlib.suppress(OSError):
+        assert isinstance(request, socket.socket)
         request.shutdown(socket.SHUT_RDWR)
 
 
@@ -127,7 +129,7 @@ class Endpoint:
         """Where the figures are."""
         return figures_url(self.port)
 
-    def describe(self) -> list[Any]:
+    def describe(self) -> list[Metric]:
         """Nothing is known before the first visit."""
         return []
 

@@ -1,4 +1,4 @@
-"""What is done with the samples of probes as they come: recorded, drawn as a trace, counted."""
+"""Takes samples of probes in as they come: records them, draws them as a trace, counts them."""
 
 from __future__ import annotations
 

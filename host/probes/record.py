@@ -1,4 +1,4 @@
-"""Samples of probes as lines of JSON: one that describes the array, then one a sample (docs/probes.md)."""
+"""Writes and reads samples of probes as lines of JSON: one that describes the array, then one a sample (docs/probes.md)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import IO, Any
+from typing import IO
 
 from raygrid.emulator.driver import NodeSample
 from raygrid.host.files.input_guard import check_kept, note
@@ -18,7 +18,7 @@ from raygrid.node.errors import OutputError
 VERSION = 2  # 1 had another figure of memory
 
 
-def header(shape: tuple[int, int, int], rate: float) -> dict[str, Any]:
+def header(shape: tuple[int, int, int], rate: float) -> dict[str, object]:
     """What the first line says. `wall` and `time` are the same moment on two clocks: since 1970, and that of the samples."""
     return {
         "is": "array",
@@ -127,5 +127,5 @@ def replay(path: str) -> ProbeReplay:
         raise OutputError(f"{path}: the first line is not that of a recording of probes, version {VERSION}") from None
 
 
-def _is_side(value: Any) -> bool:
-    return type(value) is int and 0 < value < math.inf
+def _is_side(value: object) -> bool:
+    return isinstance(value, int) and type(value) is int and 0 < value < math.inf

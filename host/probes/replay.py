@@ -1,4 +1,4 @@
-"""A recording of probes played again: in its own time, or up to its worst moment."""
+"""Plays a recording of probes again: in its own time, or up to its worst moment."""
 
 from __future__ import annotations
 

@@ -1,14 +1,14 @@
-"""Samples of an array that stays, through its service."""
+"""Asks the service of an array that stays for samples of its nodes."""
 
 from __future__ import annotations
 
 import contextlib
 import time
 from collections.abc import Iterator
-from typing import Any
 
 from raygrid.emulator.driver import NodeSample
 from raygrid.host.client.connection import Connection, EventListener
+from raygrid.host.client.protocol import Message
 from raygrid.host.client.service_files import find
 from raygrid.host.probes.probing import Feed
 from raygrid.node.errors import ProtocolError
@@ -32,7 +32,7 @@ def subscribe(name: str, rate: float) -> Iterator[Feed]:
         yield Feed((nx, ny, nz), float(answer["rate"]), _samples(connection, listener, request))
 
 
-def _samples(connection: Connection, listener: EventListener, request: dict[str, Any]) -> Iterator[NodeSample | None]:
+def _samples(connection: Connection, listener: EventListener, request: Message) -> Iterator[NodeSample | None]:
     from pydantic import TypeAdapter, ValidationError
 
     reader = TypeAdapter(NodeSample)

@@ -1,10 +1,9 @@
-"""What samples of probes add up to: the latest of each node, and rates between two of them."""
+"""Adds samples of probes up: the latest of each node, and rates between two of them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from typing import Any
 
 from raygrid.emulator.driver import NodeSample
 
@@ -87,7 +86,7 @@ class Gauges:
         return max(sorted(set(phases)), key=phases.count, default="idle")
 
 
-def sample_record(state: NodeFigures) -> dict[str, Any]:
+def sample_record(state: NodeFigures) -> dict[str, object]:
     """A sample as a map ready for JSON, with what it says together with the one before it."""
     record = asdict(state.sample)
     record["node"] = list(state.sample.node)

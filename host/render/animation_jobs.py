@@ -1,4 +1,4 @@
-"""From a shot to jobs, one a frame, in which everything but what changes is one and the same.
+"""Makes the jobs of an animation, one a frame, in which everything but what changes is one and the same.
 
 The world box is that of the whole shot, and the planes between cells are chosen once, so that an array which holds one
 frame can be told the next by increments. A frame's picture does not depend on which frames are rendered before it.
@@ -12,9 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from raygrid.emulator.partition import SPLITS
 from raygrid.emulator.partition.split import split
-from raygrid.host.render.job import Job, Settings, check_program, make_frame, make_job
+from raygrid.host.render.machine_job import Job, Settings, check_settings, make_frame, make_still_job
 from raygrid.host.scene.animation.animation import Animation, animation_bounds, moved_point, moving_batches
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import SceneError
@@ -53,7 +52,7 @@ def jobs_of(
         numbers = [1] if frames is None else list(frames)
         if numbers != [1]:
             raise SceneError(f"{scene.name}: frames {numbers[:8]} came for a scene that does not change, wanted [1]")
-        yield make_job(scene, shape, settings, wait)
+        yield make_still_job(scene, shape, settings, wait)
         return
     numbers = list(range(1, scene.shot.frames + 1)) if frames is None else list(frames)
     wrong = [number for number in numbers if not 1 <= number <= scene.shot.frames]
@@ -97,9 +96,7 @@ class AnimationJobs:
         wait: Callable[[], None] | None = None,
         like: AnimationJobs | None = None,
     ) -> None:
-        check_program(scene, settings.program)
-        if settings.split not in SPLITS:
-            raise SceneError(f"a split came as {settings.split!r}, wanted one of {', '.join(SPLITS)}")
+        check_settings(scene, settings)
         assert scene.shot is not None
         self._settings = settings
         self._shot: _AnimationMachine = _AnimationMachine(scene, scene.shot) if like is None else like._shot
@@ -125,8 +122,6 @@ class _AnimationMachine:
     """A shot in machine coordinates."""
 
     def __init__(self, scene: Scene, shot: Animation) -> None:
-        if len(scene.surfaces) == 0:
-            raise SceneError(f"{scene.name}: the scene has no surfaces")
         self.scene, self.shot = scene, shot
         try:
             self.world = world_around(animation_bounds(scene))

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Unpack
 
 from raygrid.emulator.driver import BUDGET, PATIENCE, NodeSample
 from raygrid.emulator.processes import BATCH, Array
@@ -16,13 +16,16 @@ from raygrid.emulator.topology import parse_shape
 from raygrid.host.image.picture import Picture
 from raygrid.host.render.animation_jobs import jobs_of
 from raygrid.host.render.frame import Watch
+from raygrid.host.render.given_settings import GivenSettings
 from raygrid.host.render.job import Settings, make_job
 from raygrid.host.render.program_file import read_program
-from raygrid.host.render.retry import ATTEMPTS, render_with_retries
+from raygrid.host.render.retry import ATTEMPTS
+from raygrid.host.render.session import RenderSession
 from raygrid.host.scene.load import load_scene
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import ArrayError
 from raygrid.node.links import parse_fault
+from raygrid.node.programs import Program
 
 MOST_BATCH = 8192  # packets; their message stays far below the longest that a link takes
 
@@ -69,23 +72,24 @@ class Machine:
         budget: int = BUDGET,
         watch: Watch | None = None,
         attempts: int = ATTEMPTS,
-        **settings: Any,
+        program: str | Path | Program | None = None,
+        **settings: Unpack[GivenSettings],
     ) -> Picture:
         """Render a scene, or the file of one.
 
-        settings  size, samples, depth, min_weight, highlights, split; see `raygrid.host.render.job.Settings`; and program, the
-                  path of a program for the nodes (docs/programs.md), on a machine launched with allow_programs
+        settings  size, samples, depth, min_weight, highlights, split; see `raygrid.host.render.machine_job.Settings`
         budget    packets in flight below which new primary rays are admitted
         watch     called with (phase, progress) as the work goes on
         attempts  how often to try in all: when a node is lost or a link breaks, the array is reset and the frame
                   begins anew; what happened is in the picture's stats["faults"]
+        program   path of a program for the nodes (docs/programs.md), on a machine launched with allow_programs
         Raises SceneError for a scene or settings that cannot be rendered, ArrayError if the array fails.
         """
         with self._use() as array:
             if not isinstance(scene, Scene):
                 scene = load_scene(scene, self._allow_outside)
-            job = make_job(scene, self.shape, self._settings(settings))
-            return render_with_retries(array, job, budget, watch, attempts=attempts)
+            job = make_job(scene, self.shape, self._settings(settings, program))
+            return RenderSession(array, attempts).render(job, budget, watch)
 
     def render_frames(
         self,
@@ -95,7 +99,8 @@ class Machine:
         budget: int = BUDGET,
         watch: Watch | None = None,
         attempts: int = ATTEMPTS,
-        **settings: Any,
+        program: str | Path | Program | None = None,
+        **settings: Unpack[GivenSettings],
     ) -> Iterator[Picture]:
         """Render frames of a shot one after the other, from one to the next by increments; each has the bits that it
         has alone.
@@ -105,16 +110,15 @@ class Machine:
         """
         if not isinstance(scene, Scene):
             scene = load_scene(scene, self._allow_outside)
-        for job in jobs_of(scene, self.shape, self._settings(settings), frames):
+        for job in jobs_of(scene, self.shape, self._settings(settings, program), frames):
             with self._use() as array:  # not while the caller has the picture
-                picture = render_with_retries(array, job, budget, watch, attempts=attempts)
+                picture = RenderSession(array, attempts).render(job, budget, watch)
             yield picture
 
-    def _settings(self, given: dict[str, Any]) -> Settings:
-        program = given.get("program")
+    def _settings(self, given: GivenSettings, program: str | Path | Program | None) -> Settings:
         if program is not None and not self._array.programs:
             raise ArrayError("a program is code that runs with your rights, wanted launch(..., allow_programs=True)")
-        return Settings(**given | ({"program": read_program(program)} if isinstance(program, str | Path) else {}))
+        return Settings(**given, program=read_program(program) if isinstance(program, str | Path) else program)
 
     def probe(self, rate: float, watch: Callable[[NodeSample], object] | None) -> None:
         """Let every node tell `rate` times a second how it stands, while the array renders; 0: no more (docs/probes.md).

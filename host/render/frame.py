@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from raygrid.emulator.driver import BUDGET, Collected, Driver, Progress, Samples, is_held
 from raygrid.emulator.topology import read_memory
 from raygrid.host.image.picture import Picture
-from raygrid.host.render.job import Job, rays_enter
+from raygrid.host.render.machine_job import Job, rays_enter
 from raygrid.host.render.stats import make_stats
 from raygrid.node.errors import ArrayError, Garbled, TooLarge
 from raygrid.node.geometry import LONGEST_STEP
@@ -28,12 +28,11 @@ def render_job(
     job: Job,
     budget: int = BUDGET,
     watch: Watch | None = None,
-    loaded: bool = False,
     prices: dict[str, Any] | None = None,
 ) -> Picture:
     """Render one frame. `watch(phase, progress)` is told of each phase, and of progress while tracing.
 
-    `loaded`: the array holds this job's surfaces already. `prices`: of machine time, for an array that keeps it
+    Nothing is loaded that the array holds already (`holds`). `prices`: of machine time, for an array that keeps it
     (`raygrid.node.protocol.timestamps.prices_order`). Raises ArrayError and its kinds.
     """
     if not 1 <= budget <= MOST_BUDGET:
@@ -58,7 +57,7 @@ def render_job(
         if watch is not None:
             watch("trace", now)
 
-    if not loaded:
+    if not holds(driver, job):
         timed("load", lambda: _bring(driver, job))
     progress = timed("trace", lambda: driver.trace(job.frame, budget, tell, prices))
     sums, samples = timed("collect", lambda: driver.collect(job.pixels, collected))
@@ -74,9 +73,14 @@ def _bring(driver: Driver, job: Job) -> None:
     if job.settings.program != driver.program:
         driver.load_program(job.settings.program)
     if by_increment and job.moves is not None:
-        driver.move(job.moves)
+        driver.move(job.moves, job.load_key)
     else:
-        driver.load(job.space, job.surfaces, job.moves)
+        driver.load(job.space, job.surfaces, job.moves, job.load_key)
+
+
+def holds(driver: Driver, job: Job) -> bool:
+    """Whether the nodes hold just this job's surfaces, where it has them, and run its program: by its key."""
+    return bool(job.load_key) and driver.held is not None and driver.held.key == job.load_key
 
 
 def needs_increment(driver: Driver, job: Job) -> bool:

@@ -1,17 +1,11 @@
-"""Render in spite of faults: notice, name, reset, load again, and repeat; the picture has the same bits."""
+"""Resets an array after a fault that can be made good, and says what happened."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
-from raygrid.emulator.driver import BUDGET, Progress
 from raygrid.emulator.processes import Array
-from raygrid.host.image.picture import Picture
-from raygrid.host.render.frame import Watch, render_job
-from raygrid.host.render.job import Job
 from raygrid.node.errors import ArrayError, Garbled, LostProcess, ProtocolError, RaygridError, Stuck
 
 ATTEMPTS = 4
@@ -39,54 +33,11 @@ class FaultReport:
     epoch: int
 
 
-def render_with_retries(
-    array: Array,
-    job: Job,
-    budget: int = BUDGET,
-    watch: Watch | None = None,
-    loaded: bool = False,
-    attempts: int = ATTEMPTS,
-    on_fault: Callable[[FaultReport], None] | None = None,
-    prices: dict[str, Any] | None = None,
-) -> Picture:
-    """Render one frame as `render_job` does, on an array that may lose nodes and messages meanwhile.
+def reset_after(array: Array, error: RaygridError, phase: str, begun: float) -> FaultReport:
+    """Reset the array after an error of an attempt that began at `begun` (`time.perf_counter`) and was in `phase`.
 
-    After a fault the array is reset, the scene loaded anew, and the pass repeated, at most `attempts` times in all. The
-    picture has the same bits as without faults; stats["faults"] is a map for each fault (see `FaultReport`).
-
-    attempts  1 or more
-    on_fault  told of each fault when the array is ready again
-    prices    of machine time, as of `render_job`
-    Raises what went wrong last if no attempt succeeds, or the array cannot be reset: ArrayError and its kinds, ProtocolError.
+    Raises ArrayError and its kinds, or ProtocolError, if it cannot be reset.
     """
-    if attempts < 1:
-        raise ValueError(f"{attempts} attempts came, wanted 1 or more")
-    faults: list[FaultReport] = []
-    while True:
-        begun = time.perf_counter()
-        phase = ""
-
-        def seen(now: str, progress: Progress | None) -> None:
-            nonlocal phase
-            phase = now
-            if watch is not None:
-                watch(now, progress)
-
-        try:
-            picture = render_job(array.driver, job, budget, seen, loaded and not faults, prices)
-        except RECOVERABLE as error:
-            if len(faults) + 1 >= attempts:
-                raise _given_up(error, faults) from error
-            faults.append(_reset(array, error, phase, begun))
-            if on_fault is not None:
-                on_fault(faults[-1])
-            continue
-        picture.stats["faults"] = [asdict(fault) for fault in faults]
-        picture.stats["injected"] = array.injected
-        return picture
-
-
-def _reset(array: Array, error: RaygridError, phase: str, begun: float) -> FaultReport:
     noticed, restarts = time.perf_counter(), array.restarts
     array.reset()
     seconds = (round(noticed - begun, 6), round(time.perf_counter() - noticed, 6))
@@ -95,7 +46,7 @@ def _reset(array: Array, error: RaygridError, phase: str, begun: float) -> Fault
     return FaultReport(type(error).__name__, what, phase, seconds, array.restarts - restarts, array.epoch)
 
 
-def _given_up(error: RaygridError, faults: list[FaultReport]) -> RaygridError:
+def given_up(error: RaygridError, faults: list[FaultReport]) -> RaygridError:
     """The last error, with how often it was tried, in one sentence of the same kind."""
     if not faults:
         return error

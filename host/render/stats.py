@@ -10,7 +10,7 @@ import numpy as np
 
 from raygrid.emulator.driver import Driver, Progress
 from raygrid.host.image.outputs import write_whole
-from raygrid.host.render.job import Job
+from raygrid.host.render.machine_job import Job
 from raygrid.node.links import why_python
 from raygrid.node.protocol import PacketKind
 from raygrid.node.tracing import UNIT

@@ -1,4 +1,4 @@
-"""An array that is kept: it remembers what it holds, and is repaired when it fails. For use by one thread."""
+"""Keeps an array: launches it, lends it to frames, and repairs it when it fails. For use by one thread."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from raygrid.emulator.processes import RESET_SECONDS, RESET_SECONDS_A_NODE, Arra
 from raygrid.node.errors import ArrayError, ProtocolError, RaygridError, TooLarge
 
 if TYPE_CHECKING:
-    from raygrid.emulator.driver import NodeSample, Progress
+    from raygrid.emulator.driver import NodeSample
     from raygrid.host.image.picture import Picture
     from raygrid.host.render.frame import Watch
+    from raygrid.host.render.machine_job import Job
     from raygrid.host.render.retry import FaultReport
-    from raygrid.host.service.scene_store import PreparedFrame
+    from raygrid.host.render.session import RenderSession
 
 Shape = tuple[int, int, int]
 OnFault = Callable[[str], None]
@@ -30,8 +31,7 @@ class ArraySupervisor:
 
     shape     processors on each axis
     options   of `Array`
-    floods    how often a scene was loaded
-    increments  how often the nodes were told only what has moved since the frame before
+    session   that renders on it, and counts how often what was loaded; None before the first launch
     on_fault  told of each fault that was repaired
     on_wait   called often while a frame is rendered or the array launched or reset; raises to give that up
     rate      of the array's probes, in samples a second of each node; any thread may set it
@@ -39,11 +39,11 @@ class ArraySupervisor:
     """
 
     def __init__(self, shape: Shape, on_fault: OnFault, on_wait: Callable[[], None], **options: Any) -> None:
-        self.shape, self.floods, self.increments = shape, 0, 0
+        self.shape = shape
+        self.session: RenderSession | None = None  # on the array that there is, or was
         self._on_fault, self._on_wait = on_fault, on_wait
         self._options = options
         self._array: Array | None = None
-        self._holds = ""  # digest of what the array holds
         self.rate = self._rate = 0.0  # wanted, and told to the array
         self.on_sample: Callable[[NodeSample], object] | None = None
         self._spoilt = False  # and must be reset before the next frame
@@ -51,15 +51,17 @@ class ArraySupervisor:
 
     def launch(self) -> None:
         """Launch the array. Raises NoArray, and what `on_wait` raises."""
-        self._holds, self._rate = "", 0.0
+        self._rate = 0.0
         with self._launching():
             self._array = Array(self.shape, **self._options)
             self._array.on_wait = self._on_wait  # a first run compiles for a minute, and may be given up
             self._array.begin()
-            # What a frame needs takes a second to import; the nursery warms up beside it.
+            from raygrid.host.render.session import RenderSession  # takes a second; the fork server warms up beside it
 
             self._array.wait_ready()
             self._array.on_wait = None
+            self.session = self.session or RenderSession(self._array, on_fault=self._tell)
+            self.session.array = self._array
 
     @contextlib.contextmanager
     def _launching(self) -> Any:
@@ -106,7 +108,7 @@ class ArraySupervisor:
 
     def reset(self) -> None:
         """Empty the array, whatever its state. Raises NoArray if that cannot be, and what `on_wait` raises."""
-        self._holds, self._spoilt, self._given_up = "", False, False
+        self._spoilt, self._given_up = False, False
         if self._array is None:
             self.launch()
             return
@@ -115,10 +117,8 @@ class ArraySupervisor:
             self._array.reset()
             self._array.on_wait = None
 
-    def render(self, ready: PreparedFrame, budget: int, watch: Watch) -> Picture:
+    def render(self, job: Job, budget: int, watch: Watch) -> Picture:
         """Render a frame, again if the array fails meanwhile. Raises RaygridError, and what `on_wait` raises."""
-        from raygrid.host.render.retry import render_with_retries
-
         if self._spoilt:  # a frame before was given up, or failed for good
             self.reset()
         elif self._array is None:
@@ -126,12 +126,11 @@ class ArraySupervisor:
         elif self._given_up:
             self._settle()
         assert self._array is not None
+        assert self.session is not None
         epoch = self._array.epoch
         self._array.on_wait = self._wait
         try:
-            loaded = self._holds == ready.loaded
-            watching = self._noting(ready, loaded, watch)
-            return render_with_retries(self._array, ready.job, budget, watching, loaded, on_fault=self._tell)
+            return self.session.render(job, budget, watch)
         except BaseException as error:
             # The driver drops what is left of a frame that was given up; only a reset that was given up must be repeated.
             failed = isinstance(error, ArrayError | ProtocolError) and not isinstance(error, TooLarge)
@@ -169,34 +168,11 @@ class ArraySupervisor:
     def _tell(self, fault: FaultReport) -> None:
         self._on_fault(f"{fault.what}; repaired in {fault.seconds[1]:.2f} s, {fault.restarts} nodes forked anew")
 
-    def _noting(self, ready: PreparedFrame, loaded: bool, watch: Watch) -> Watch:
-        """A watch that notes when the surfaces are all there."""
-        if not loaded:
-            self._holds = ""
-
-        def noting(phase: str, progress: Progress | None) -> None:
-            if phase == "load":
-                self._count_load(ready)
-                self._holds = ""
-            elif phase == "trace" and progress is None:
-                self._holds = ready.loaded
-            watch(phase, progress)
-
-        return noting
-
-    def _count_load(self, ready: PreparedFrame) -> None:
-        from raygrid.host.render.frame import needs_increment
-
-        if self._array is not None and needs_increment(self._array.driver, ready.job):
-            self.increments += 1
-        else:
-            self.floods += 1
-
     def close(self) -> None:
         """End the array. May be called twice."""
         array, self._array = self._array, None
         given_up = self._given_up
-        self._holds, self._spoilt, self._given_up = "", False, False
+        self._spoilt, self._given_up = False, False
         if array is not None:
             array.on_wait = None
             if given_up:  # then it may not say goodbye either

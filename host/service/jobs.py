@@ -1,4 +1,4 @@
-"""The jobs of a service: the schedule in memory and the journal on disk, kept in step. No socket and no array in here."""
+"""Keeps the jobs of a service: schedule in memory and journal on disk, in step. No socket and no array in here."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from raygrid.host.client.facts import JobFacts
 from raygrid.host.client.requests import SubmitMessage, read_job
 from raygrid.host.journal.journal import Damaged, JobRow, Journal, Unwritable
 from raygrid.host.journal.repair import open_again
@@ -16,7 +17,7 @@ from raygrid.host.service.schedule import Entry, JobState, Schedule
 from raygrid.host.text.clean_text import printable
 from raygrid.node.errors import OutputError, ProtocolError, RaygridError
 
-MOST_JOBS = 10_000  # that have not ended
+MOST_UNFINISHED = 10_000  # that have not ended
 MOST_QUEUED = 1_000_000  # frames of them all
 MOST_REMARKS = 20
 
@@ -55,8 +56,7 @@ class Jobs:
             try:
                 self._take_up(row)
             except ProtocolError as error:
-                why = str(error)
-                self._record(row.job, lambda to, job=row.job, why=why: to.set_state(job, JobState.FAILED, why))  # type: ignore[misc]
+                self._record_state(row.job, JobState.FAILED, str(error))
         self._hear_journal()
 
     def _take_up(self, row: JobRow) -> None:
@@ -74,8 +74,8 @@ class Jobs:
 
     def submit(self, request: SubmitMessage) -> Entry:
         """Queue a job. Raises OutputError if it cannot be recorded, RaygridError if there are too many."""
-        if len(self.schedule.entries) >= MOST_JOBS:
-            raise RaygridError(f"{MOST_JOBS} jobs are queued already, wanted fewer")
+        if len(self.schedule.entries) >= MOST_UNFINISHED:
+            raise RaygridError(f"{MOST_UNFINISHED} jobs are queued already, wanted fewer")
         first, last = request.frames or (0, 0)
         if self.schedule.frames_queued + last - first + 1 > MOST_QUEUED:
             raise RaygridError(
@@ -100,7 +100,7 @@ class Jobs:
         if entry.begun is None:
             entry.begun = time.time()
         if entry.done == 0:
-            self._record(entry.job, lambda to: to.set_state(entry.job, JobState.RUNNING))
+            self._record_state(entry.job, JobState.RUNNING)
 
     def frame_done(self, entry: Entry, skipped: bool, seconds: float, files: dict[str, str]) -> None:
         """The running frame's files are there; ends the job if it was the last."""
@@ -121,13 +121,16 @@ class Jobs:
     def _end(self, entry: Entry, state: JobState, error: str = "") -> None:
         self.schedule.end(entry, state, error)
         self._requests.pop(entry.job, None)
-        self._record(entry.job, lambda to: to.set_state(entry.job, state, error))
+        self._record_state(entry.job, state, error)
 
     # --- the journal ----------------------------------------------------------------------------------
 
     def look_after(self) -> None:
         """See to it that the journal is there and up to date; to be called now and then."""
         self._flush()
+
+    def _record_state(self, job: int, state: JobState, error: str = "") -> None:
+        self._record(job, lambda to: to.set_state(job, state, error))
 
     def _record(self, job: int, write: Callable[[Journal], None]) -> None:
         """Write to the journal now, or when that is possible again: the array goes on without."""
@@ -188,7 +191,7 @@ class Jobs:
 
     # --- facts ----------------------------------------------------------------------------------------
 
-    def facts(self, job: int) -> dict[str, Any] | None:
+    def facts(self, job: int) -> JobFacts | None:
         """What there is to say of a job; None if there is no such job."""
         entry = self.schedule.entries.get(job)
         if entry is not None:
@@ -197,7 +200,7 @@ class Jobs:
         self._hear_journal()
         return None if row is None else row_facts(row)
 
-    def list(self, ended: int) -> list[dict[str, Any]]:
+    def list(self, ended: int) -> list[JobFacts]:
         """The last `ended` jobs that have ended, then those that have not, each oldest first. Raises OutputError."""
         rows = [row_facts(row) for row in self.journal.ended(ended)] if ended else []
         self._hear_journal()

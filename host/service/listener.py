@@ -1,10 +1,10 @@
-"""The door of a service: who may come in, and the bytes that go to and fro. What is asked is answered elsewhere.
+"""Lets clients in, and carries the bytes that go to and fro. What is asked is answered elsewhere.
 
 A client must be of the same user (the kernel says so), and must present the secret of the token file in its first
 message, within GREETING_SECONDS. Others are refused and counted.
 
 MOST_CLIENTS may stay. Some more places are kept for those who only look after the array: who comes when it is full may ask
-what BRIEF names, and must not idle. So whoever crowds the door, the array can be asked how it is, and taken down.
+what BRIEF names, and must not idle. So whoever crowds the listener, the array can be asked how it is, and taken down.
 """
 
 from __future__ import annotations
@@ -22,19 +22,20 @@ from collections import Counter
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
-from raygrid.host.client.protocol import LONGEST, LONGEST_GREETING, VERSION, Message, Splitter, pack
+from raygrid.host.client.protocol import LONGEST, LONGEST_GREETING, VERSION, Message, message_splitter, pack
 from raygrid.host.client.requests import Request, read_request
 from raygrid.host.client.service_files import SOCKET, TOKEN, write_private
 from raygrid.host.text.clean_text import printable
 from raygrid.host.text.error_text import told
 from raygrid.node.errors import ProtocolError, RaygridError
+from raygrid.node.protocol import Splitter
 
 GREETING_SECONDS = 5.0
 MOST_CLIENTS = 200
 MOST_BRIEF = 32  # clients besides, for as long as their requests take
 BRIEF = ("status", "jobs", "cancel", "reset", "down")
 BRIEF_SECONDS = 5.0  # without a request, after which such a client has to go
-WAITING = 512  # that may wait at the door until the service comes to them
+WAITING = 512  # that may wait to be accepted until the service comes to them
 PIECE = 1 << 16  # bytes read at a time
 MOST_UNSENT = LONGEST + (1 << 20)  # bytes that may wait for a client that does not read; then it is cut off
 CROWDED = 1 << 16  # bytes waiting for a client above which it is not told of progress
@@ -46,7 +47,7 @@ REFUSALS = ("user", "token", "greeting", "request", "crowd", "slow")
 class ClientConnection:
     """A client that was let in.
 
-    follows  jobs that it is told of
+    follows  jobs that it follows
     brief    whether it came when all places were taken
     rate     how often a second it wants to be told how each node stands; 0: not at all
     """
@@ -160,7 +161,7 @@ class Listener:
         if len(self._tasks) > MOST_CLIENTS + MOST_BRIEF:
             self._refuse(client, "crowd", self._crowded())
             return
-        splitter = Splitter(LONGEST_GREETING)
+        splitter = message_splitter(LONGEST_GREETING)
         try:
             async with asyncio.timeout(GREETING_SECONDS):
                 greeting = await _next(splitter, reader)
@@ -191,11 +192,11 @@ class Listener:
         known = isinstance(token, str) and hmac.compare_digest(token.encode(), self._token.encode())
         return known and greeting.get("do") == "hello" and greeting.get("version") == VERSION
 
-    def _refuse(self, client: ClientConnection, why: str, told: str) -> None:
+    def _refuse(self, client: ClientConnection, why: str, reason: str) -> None:
         self.refused[why] += 1
-        client.send({"is": "error", "why": why, "error": f"the array refused this client: {told}"})
+        client.send({"is": "error", "why": why, "error": f"the array refused this client: {reason}"})
 
-    async def _serve(self, client: ClientConnection, splitter: Splitter, reader: asyncio.StreamReader) -> None:
+    async def _serve(self, client: ClientConnection, splitter: Splitter[Message], reader: asyncio.StreamReader) -> None:
         """Answer requests until the client is gone, or sends what is no message: then nobody knows where the next begins."""
         try:
             while (message := await self._hear(client, splitter, reader)) is not None:
@@ -207,7 +208,9 @@ class Listener:
         except ProtocolError as error:
             self._refuse(client, "request", str(error))
 
-    async def _hear(self, client: ClientConnection, splitter: Splitter, reader: asyncio.StreamReader) -> Message | None:
+    async def _hear(
+        self, client: ClientConnection, splitter: Splitter[Message], reader: asyncio.StreamReader
+    ) -> Message | None:
         """The next message of a client, None if it is gone or has to go. Raises ProtocolError."""
         while True:
             try:
@@ -256,7 +259,7 @@ def _is_ours(writer: asyncio.StreamWriter) -> bool:
     return bool(user == os.geteuid())
 
 
-async def _next(splitter: Splitter, reader: asyncio.StreamReader) -> Message | None:
+async def _next(splitter: Splitter[Message], reader: asyncio.StreamReader) -> Message | None:
     """The next message; None when the peer has closed. Raises ProtocolError."""
     while (message := splitter.next()) is None:
         piece = await reader.read(PIECE)

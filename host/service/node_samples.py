@@ -1,16 +1,14 @@
-"""What the kernel says of the nodes' processes: state, processor time, memory. Nothing is asked of the nodes."""
+"""Asks the kernel how the processes of the nodes stand: state, processor time, memory. Nothing is asked of the nodes."""
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Sequence
-from typing import Any
 
-from raygrid.emulator.topology import STATES
+from raygrid.emulator.topology import STATES, process_times
+from raygrid.host.client.facts import NodeFacts
 from raygrid.node.runtime import proportional_memory
 
-TICKS = os.sysconf("SC_CLK_TCK")
 NODE_STATES = STATES | {"": "gone"}  # told apart from one that has ended and waits to be reaped
 LEAST_SPAN = 0.5  # seconds over which a load is measured, if it can be
 
@@ -29,19 +27,12 @@ class Samples:
         self._older = self._newer
         self._newer = time.monotonic(), {pid: process_times(pid)[1] for pid in pids}
 
-    def nodes(self, pids: Sequence[int], shape: Shape) -> list[dict[str, Any]]:
-        """A map a node, x fastest.
-
-        node         its coordinates
-        pid, state   of its process
-        cpu_seconds  that it has used
-        load         part of a processor that it used lately, 0 to 1; None if that is not known yet
-        pss          bytes of its memory, of pages that n processes share the n-th part
-        """
+    def nodes(self, pids: Sequence[int], shape: Shape) -> list[NodeFacts]:
+        """What the kernel says of each node, x fastest."""
         now = time.monotonic()
         since, before = self._newer if now - self._newer[0] >= LEAST_SPAN else self._older
         nx, ny, _ = shape
-        found = []
+        found: list[NodeFacts] = []
         for number, pid in enumerate(pids):
             state, spent = process_times(pid)
             load = (spent - before[pid]) / (now - since) if pid in before and now > since else None
@@ -56,13 +47,3 @@ class Samples:
                 }
             )
         return found
-
-
-def process_times(pid: int) -> tuple[str, float]:
-    """(state as the kernel's letter, seconds of processor time); ("", 0.0) for a process that is gone."""
-    try:
-        with open(f"/proc/{pid}/stat", "rb") as file:
-            fields = file.read().rpartition(b")")[2].split()
-        return fields[0].decode(), (int(fields[11]) + int(fields[12])) / TICKS
-    except (OSError, IndexError, ValueError):
-        return "", 0.0

@@ -1,4 +1,4 @@
-"""Calls and answers between the service and its scribe: pickles on a stream socket, large arrays beside them uncopied.
+"""Packs calls and answers between the service and its scribe: pickles, with large arrays beside them uncopied.
 
     +-------------------+---------------------------+--------+-------------+
     | count, u64 little | count lengths, u64 each   | pickle | its buffers |
@@ -20,20 +20,22 @@ from typing import Any
 MOST_SHARED = 16  # objects that are kept on either side
 WORD = struct.Struct("<Q")
 
+Reference = tuple[int, tuple[object] | None]  # the number of a shared object; with the object where it goes first
+
 
 class Shared:
     """Objects that both sides keep, by the number under which they went. Both keep and forget in the same order."""
 
     def __init__(self, types: tuple[type, ...]) -> None:
         self.types = types
-        self._held: OrderedDict[int, Any] = OrderedDict()  # number -> object
+        self._held: OrderedDict[int, object] = OrderedDict()
         self._number = 0
 
-    def number_of(self, value: Any) -> int | None:
+    def number_of(self, value: object) -> int | None:
         """The number of an object that went before."""
         return next((number for number, held in self._held.items() if held is value), None)
 
-    def keep(self, value: Any) -> int:
+    def keep(self, value: object) -> int:
         """Keep one that goes for the first time."""
         self._number += 1
         self._held[self._number] = value
@@ -41,7 +43,7 @@ class Shared:
             self._held.popitem(last=False)
         return self._number
 
-    def use(self, number: int) -> Any:
+    def use(self, number: int) -> object:
         """One that was kept, which counts as used last."""
         self._held.move_to_end(number)
         return self._held[number]
@@ -51,9 +53,9 @@ class _Pickler(pickle.Pickler):
     def __init__(self, file: io.BytesIO, shared: Shared, buffers: list[pickle.PickleBuffer]) -> None:
         super().__init__(file, 5, buffer_callback=lambda buffer: buffers.append(buffer))
         self._shared = shared
-        self._whole: Any = None  # goes in full
+        self._whole: object = None  # goes in full
 
-    def persistent_id(self, value: Any) -> Any:
+    def persistent_id(self, value: object) -> Reference | None:
         """Numbers for what is shared; with the object itself where it goes for the first time."""
         if not isinstance(value, self._shared.types) or value is self._whole:
             return None
@@ -70,16 +72,16 @@ class _Unpickler(pickle.Unpickler):
         super().__init__(io.BytesIO(data), buffers=buffers)
         self._shared = shared
 
-    def persistent_load(self, number: Any) -> Any:
-        """What a number stands for."""
-        known, value = number
-        if value is None:
-            return self._shared.use(known)
-        self._shared.keep(value[0])
-        return value[0]
+    def persistent_load(self, reference: Reference) -> object:
+        """The object of a reference."""
+        number, new = reference
+        if new is None:
+            return self._shared.use(number)
+        self._shared.keep(new[0])
+        return new[0]
 
 
-def pack(value: Any, shared: Shared) -> list[memoryview]:
+def pack(value: object, shared: Shared) -> list[memoryview]:
     """A message as pieces of bytes to be sent in order; arrays are not copied."""
     buffers: list[pickle.PickleBuffer] = []
     file = io.BytesIO()

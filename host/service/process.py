@@ -1,4 +1,4 @@
-"""The process of a service, started by `raygrid up`: its lock, its log, its sockets' directory, and its end."""
+"""Is the process of a service, which `raygrid up` starts: makes lock, log and socket directory, serves, and ends."""
 
 from __future__ import annotations
 
@@ -9,19 +9,22 @@ import json
 import os
 import signal
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, BinaryIO
 
 from raygrid.emulator.topology import SocketDirectory
 from raygrid.host.client.service_files import JOURNAL, Home
+from raygrid.host.service.events import Options
 from raygrid.host.service.service import ENDING, ArrayService
-from raygrid.host.service.worker import Options
 from raygrid.host.text.standard_streams import ready_streams
 from raygrid.node.errors import RaygridError
+
+if TYPE_CHECKING:
+    from prometheus_client import Metric
 
 FIGURES_SECONDS = 4.0  # for the service to say how it is
 
 
-async def _serve(home: Home, options: Options, place: SocketDirectory, tell: Any, port: int | None) -> int:
+async def _serve(home: Home, options: Options, place: SocketDirectory, tell: BinaryIO, port: int | None) -> int:
     if port is None:
         return await ArrayService(home, options, place, tell).run()
     from raygrid.host.probes.metrics_server import Endpoint
@@ -29,7 +32,7 @@ async def _serve(home: Home, options: Options, place: SocketDirectory, tell: Any
 
     loop, services = asyncio.get_running_loop(), list[ArrayService]()
 
-    def families() -> Iterator[Any]:
+    def families() -> Iterator[Metric]:
         for service in services:
             facts = asyncio.run_coroutine_threadsafe(service.answers.facts(), loop).result(FIGURES_SECONDS)
             yield from of_service(facts)
@@ -37,7 +40,7 @@ async def _serve(home: Home, options: Options, place: SocketDirectory, tell: Any
     endpoint = Endpoint(families, port)  # first: what keeps it from its port is said before anything is launched
     try:
         service = ArrayService(home, options, place, tell)
-        service.prometheus = endpoint.port
+        service.state.prometheus = endpoint.port
         services.append(service)
         return await service.run()
     finally:

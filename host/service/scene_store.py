@@ -1,4 +1,4 @@
-"""Scenes that stay in memory between frames, made ready for one array, and read anew only if their files have changed."""
+"""Keeps scenes in memory between frames, ready for one array, and reads them anew only if their files have changed."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from raygrid.host.client.requests import SubmitMessage
-from raygrid.host.image.frames import Ends, Turntable, frames_of
+from raygrid.host.image.frames import Turntable, frames_of
 from raygrid.host.render.animation_jobs import AnimationJobs
-from raygrid.host.render.job import Job, Settings, make_job, samples_expected
-from raygrid.host.render.picture_digest import contents_of_shot, picture_digest
-from raygrid.host.scene.animation.turntable import turntable
+from raygrid.host.render.job import Job, Settings, make_job
+from raygrid.host.render.prepared import PreparedFrame, contents_of_shot, remarks_on, turned
 from raygrid.host.scene.load import load_scene
 from raygrid.host.scene.scene import Scene
 from raygrid.host.scene.sources import Sources, recorded
@@ -54,29 +53,6 @@ def wanted_by(submit: SubmitMessage) -> FrameRequest:
 
 
 @dataclass(frozen=True)
-class PreparedFrame:
-    """A frame that is ready for the array.
-
-    loaded    a digest of what the array must hold: the planes between cells, the surfaces, where they are, the program
-    contents  a digest of the scene's files, and of the turntable it stands on
-    expected  primary rays that there will be, about
-    remarks   on the scene
-    files     that the scene is made of
-    """
-
-    job: Job
-    loaded: str
-    contents: str
-    expected: int
-    remarks: tuple[str, ...]
-    files: tuple[str, ...] = ()
-
-    def digest(self, frame: int | Ends | None, transfer: str) -> str:
-        """As `picture_digest`."""
-        return picture_digest(self.contents, self.job.settings, frame, transfer)
-
-
-@dataclass(frozen=True)
 class _StoredAnimation:
     """A shot that is kept: the scene as it was read, its jobs, and a digest of what they all share."""
 
@@ -110,16 +86,15 @@ class SceneStore:
     def frame(self, wanted: FrameRequest, frame: int | None) -> PreparedFrame:
         """A frame of the scene as its files are now; None: a shot's first. Raises SceneError."""
         sources, scene = self.scene(wanted.path)
-        key = replace(wanted, frames=None)
         if scene.shot is not None or wanted.turn is not None:
             return self._shot_frame(scene, sources, wanted, frame)
         wanted.check_frames(scene)
+        key = replace(wanted, frames=None)
         kept = self._ready.pop(key, None)
         if kept is None or kept[0] is not scene:
             job = make_job(scene, self._shape, wanted.settings)
-            loaded = _digest_of_load(job) + _digest_of_program(wanted.settings)
-            about = samples_expected(job), tuple(scene.remarks), tuple(sources.files)
-            kept = scene, PreparedFrame(job, loaded, sources.digest(), *about)
+            job = replace(job, load_key=_digest_of_load(job) + _digest_of_program(wanted.settings))
+            kept = scene, PreparedFrame(job, sources.digest(), remarks_on(scene, frame), tuple(sources.files))
         _keep(self._ready, key, kept)
         return kept[1]
 
@@ -128,12 +103,9 @@ class SceneStore:
         kept = self._shot(scene, wanted)
         job = kept.jobs.job(1 if frame is None else frame)
         assert job.moves is not None
-        loaded = kept.shared + _digest_of_moves(job.moves) + _digest_of_program(wanted.settings)
-        remarks = tuple(scene.remarks)
-        if frame is None and scene.shot is not None and scene.shot.frames > 1:
-            remarks += (f"frame 1 of {scene.shot.frames}; --frames 1-{scene.shot.frames} renders all",)
-        about = samples_expected(job), remarks, tuple(sources.files)
-        return PreparedFrame(job, loaded, contents_of_shot(sources, wanted.turn), *about)
+        key = kept.shared + _digest_of_moves(job.moves) + _digest_of_program(wanted.settings)
+        contents, remarks = contents_of_shot(sources, wanted.turn), remarks_on(scene, frame)
+        return PreparedFrame(replace(job, load_key=key), contents, remarks, tuple(sources.files))
 
     def _shot(self, scene: Scene, wanted: FrameRequest) -> _StoredAnimation:
         key = replace(wanted, frames=None)
@@ -141,11 +113,10 @@ class SceneStore:
         if kept is not None and kept.scene is scene:
             wanted.check_frames(kept.jobs.scene)
         else:
-            turn = wanted.turn
-            moving = scene if turn is None else turntable(scene, turn.frames, turn.turn_scene)
+            moving = turned(scene, wanted.turn)
             assert moving.shot is not None
             wanted.check_frames(moving)
-            like = next((s.jobs for k, s in self._shots.items() if s.scene is scene and k.turn == turn), None)
+            like = next((s.jobs for k, s in self._shots.items() if s.scene is scene and k.turn == wanted.turn), None)
             middle = (moving.shot.frames + 1) // 2
             jobs = AnimationJobs(moving, self._shape, wanted.settings, middle, like=like)
             kept = _StoredAnimation(scene, jobs, _digest_of_load(jobs.job(middle)))

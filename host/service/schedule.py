@@ -1,4 +1,4 @@
-"""Whose frame is next: by priority first, then clients in turn, the jobs of a client in turn, the frames of a job in order.
+"""Says whose frame is next: by priority first, then clients in turn, the jobs of a client in turn, the frames of a job in order.
 
 So a job of one frame waits for at most one frame of every other client and job of its priority, however long theirs are.
 Nobody waits for ever: a priority that was passed over PASSES times has the next frame. No clock, no disk and no array in
@@ -12,6 +12,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from raygrid.host.client.facts import ENDED
+
 PASSES = 8  # frames of higher priorities, after which a lower one has a frame
 MOST_YIELDS = 2  # times that a frame is given up for one of a higher priority; then it is finished first
 
@@ -24,9 +26,6 @@ class JobState(StrEnum):
     DONE = "done"
     FAILED = "failed"
     CANCELLED = "cancelled"
-
-
-ENDED = (JobState.DONE, JobState.FAILED, JobState.CANCELLED)
 
 
 @dataclass

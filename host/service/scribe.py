@@ -1,4 +1,4 @@
-"""The service's side of its scribe: the process that reads scenes, splits space, and writes pictures (`scribe_process`).
+"""Starts, asks and kills the scribe: the process that reads scenes, splits space, and writes pictures (`scribe_process`).
 
 What files and programs of others make a process do cannot be foreseen: a pipe is opened for ever, a loop in compiled code
 or in a library holds the interpreter, a file of a few bytes takes all memory. So none of it is done in the service. A call
@@ -17,50 +17,23 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeVar
 
 from raygrid.emulator.processes import ONE_THREAD, SIGNALS
 from raygrid.emulator.topology import process_state
 from raygrid.host.files.part_files import FILE as PART
 from raygrid.host.service.pickled_calls import Shared, pack, receiving
+from raygrid.host.service.scribe_calls import CallDone, CallFailed, ScribeCall, Unanswered
 from raygrid.node.errors import RaygridError
 from raygrid.node.geometry import Groups, SurfaceSet
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from raygrid.host.service.scene_store import PreparedFrame
 
 LOOK_SECONDS = 0.05  # between two looks at whether a call is still wanted
 STOPPED_SECONDS = 0.75  # a process that is stopped (SIGSTOP) for longer than this is lost, as a node is
 END_SECONDS = 0.5  # for the kernel to end what was killed; what a file system holds up ends when that lets it go
 SHARED = (SurfaceSet, Groups)  # an array goes on by increments only from the very same ones
 
-
-@dataclass(frozen=True)
-class Begun:
-    """A frame that can be traced, or needs not.
-
-    ready    for the array; None if all files are there already
-    files    path -> digest, of this frame alone
-    remarks  on the scene and on what is written
-    """
-
-    ready: PreparedFrame | None
-    files: dict[str, str]
-    remarks: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Finished:
-    """A picture as its numbers."""
-
-    sums: NDArray[np.int64]
-    samples: int
-    stats: dict[str, Any]
+T = TypeVar("T")
 
 
 class ScribeError(RaygridError):
@@ -122,31 +95,31 @@ class Scribe:
         ours.setblocking(False)
         self._socket, self._shared = ours, Shared(SHARED)
 
-    def tell(self, what: str) -> None:
+    def tell(self, call: Unanswered) -> None:
         """Let it do something that has no answer, when it comes to it. Never raises."""
         with contextlib.suppress(RaygridError, OSError):
             self.start()
             assert self._socket is not None
-            self._socket.sendall(b"".join(pack((what, ()), self._shared)))
+            self._socket.sendall(b"".join(pack(call, self._shared)))
 
-    def ask(self, what: str, *arguments: Any) -> Any:
-        """Call a method of `scribe_process.Work` and wait for what it returns.
+    def ask(self, call: ScribeCall[T]) -> T:
+        """Let it do something and wait for the answer.
 
         Raises ScribeError with what it raised, ScribeLost with how the process ended; and what `look` raises.
         """
         self.start()
         try:
-            for piece in pack((what, arguments), self._shared):
+            for piece in pack(call, self._shared):
                 self._send(piece)
-            kind, answer = self._receive()
+            answer: CallDone[T] | CallFailed = self._receive()
         except (BrokenPipeError, ConnectionResetError, EOFError):
             raise ScribeLost(f"the process that reads scenes and writes pictures {self._how_it_ended()}") from None
         except BaseException:
             self.kill()
             raise
-        if kind == "failed":
-            raise ScribeError(answer)
-        return answer
+        if isinstance(answer, CallFailed):
+            raise ScribeError(answer.why)
+        return answer.value
 
     def _send(self, piece: memoryview) -> None:
         assert self._socket is not None

@@ -1,4 +1,4 @@
-"""The scribe: the process of a service that reads scenes, splits space, looks at what is there, and writes pictures.
+"""Is the scribe: reads scenes, splits space, looks at what is there, and writes pictures for a service.
 
 Whatever touches files, or runs code, of whoever submitted a job is done here, one call after the other, so that the service
 can kill it at any moment (`scribe`). It ends with the service.
@@ -15,14 +15,31 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, assert_never
 
 import numpy as np
 
 from raygrid.emulator.processes import end_with_parent
 from raygrid.host.service.pickled_calls import Shared, pack, receiving
-from raygrid.host.service.scene_store import PreparedFrame, SceneStore, wanted_by
-from raygrid.host.service.scribe import SHARED, Begun, Finished
+from raygrid.host.service.scene_store import SceneStore, wanted_by
+from raygrid.host.service.scribe import SHARED
+from raygrid.host.service.scribe_calls import (
+    AnyCall,
+    BeginFrame,
+    Begun,
+    CallDone,
+    CallFailed,
+    Finished,
+    FinishFrame,
+    KeepFrame,
+    ListLacking,
+    PlayFrames,
+    PrepareAgain,
+    SweepFilms,
+    TraceBackground,
+    Unanswered,
+    WarmUp,
+)
 from raygrid.host.text.error_text import told
 from raygrid.node.errors import RaygridError
 from raygrid.node.geometry import SurfaceSet
@@ -30,18 +47,15 @@ from raygrid.node.geometry import SurfaceSet
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from raygrid.host.client.requests import SubmitMessage
     from raygrid.host.image.picture import Picture
+    from raygrid.host.render.prepared import PreparedFrame
     from raygrid.host.service.job_files import JobFiles
-    from raygrid.node.programs import Program
-    from raygrid.node.protocol import Frame
 
-UNANSWERED = ("warm", "sweep")
 FILMS = "films"  # in the state directory: frames that wait to be played, a directory a job
 
 
 class ScribeWork:
-    """What the service may call."""
+    """Does what the service asks for, one call after the other."""
 
     def __init__(self, shape: tuple[int, int, int], journal: Path, outside: bool) -> None:
         self._store, self._journal = SceneStore(shape, outside), journal
@@ -49,51 +63,56 @@ class ScribeWork:
         self._files: JobFiles | None = None
         self._checked = -1  # the job whose names of files were looked at last
 
-    def begin(self, job: int, request: SubmitMessage, frame: int | None, programs: bool) -> Begun:
-        """Read the scene, make a frame of it ready, and look at where its files go. Raises RaygridError."""
+    def do(self, call: AnyCall) -> object:
+        """Do what a call says; returns its answer. Raises RaygridError, and OutputError where files are written."""
+        match call:
+            case BeginFrame():
+                return self._begin(call)
+            case PrepareAgain(number):
+                return _for_the_array(self._store.frame(wanted_by(self._request), number))
+            case FinishFrame(finished):
+                with self._guarded() as files:
+                    files.write(_picture(finished))
+            case ListLacking():
+                return [] if self._files is None else self._files.lacking(self._recorded)
+            case KeepFrame(number, finished):
+                with self._guarded() as files:
+                    files.keep(number, _picture(finished))
+            case PlayFrames():
+                with self._guarded() as files:
+                    return files.play(self._recorded)
+            case TraceBackground():
+                return _background(call)
+            case SweepFilms():
+                self._sweep()
+            case WarmUp():
+                _warm_up()
+            case _:
+                assert_never(call)
+        return None
+
+    def _begin(self, call: BeginFrame) -> Begun:
         from raygrid.host.files.input_guard import noted
         from raygrid.host.image.moving_pictures import Reel
         from raygrid.host.scene.load import check_taken
         from raygrid.host.service.job_files import JobFiles
 
-        check_taken(request.program, programs)  # a job of the journal may have had another array
+        job, request = call.job, call.request
+        check_taken(request.program, call.programs)  # a job of the journal may have had another array
         self._request = request
-        ready = self._store.frame(wanted_by(request), frame)
-        self._files = files = JobFiles(request, frame, ready, Reel(str(self._films / str(job))))
+        ready = self._store.frame(wanted_by(request), call.frame)
+        self._files = files = JobFiles(request, call.frame, ready, Reel(str(self._films / str(job))))
         remarks = (*ready.remarks, *files.remarks)
         with noted() as inputs:
             files.note(inputs)
             if job != self._checked:
-                self.sweep()
+                self._sweep()
                 files.check_all()
                 self._checked = job
             if request.resume and files.are_there(self._recorded):
                 return Begun(None, files.digests, remarks)
             files.check()
         return Begun(_for_the_array(ready), files.digests, remarks)
-
-    def again(self, number: int) -> PreparedFrame:
-        """Another frame of the same job, made ready. Raises RaygridError."""
-        return _for_the_array(self._store.frame(wanted_by(self._request), number))
-
-    def finish(self, finished: Finished) -> None:
-        """Write the files of the frame that was begun, each whole or not at all. Raises OutputError."""
-        with self._guarded() as files:
-            files.write(_picture(finished))
-
-    def lacking(self) -> list[int]:
-        """The frames that files which hold all frames lack."""
-        return [] if self._files is None else self._files.lacking(self._recorded)
-
-    def keep(self, number: int, finished: Finished) -> None:
-        """Let one of them wait to be played. Raises OutputError."""
-        with self._guarded() as files:
-            files.keep(number, _picture(finished))
-
-    def play(self) -> dict[str, str]:
-        """Write the files that hold all frames; path -> digest. Raises OutputError."""
-        with self._guarded() as files:
-            return files.play(self._recorded)
 
     @contextlib.contextmanager
     def _guarded(self) -> Iterator[JobFiles]:
@@ -113,7 +132,7 @@ class ScribeWork:
             return journal.is_recorded(path, digest)
         return False
 
-    def sweep(self) -> None:
+    def _sweep(self) -> None:
         """Remove the frames that wait for jobs which have ended."""
         from raygrid.host.journal.journal import Journal
         from raygrid.host.service.job_files import sweep_films
@@ -122,20 +141,20 @@ class ScribeWork:
             with contextlib.suppress(RaygridError), contextlib.closing(Journal(self._journal)) as journal:
                 sweep_films(self._films, journal)
 
-    def background(self, program: Program, frame: Frame, step: tuple[float, float, float]) -> NDArray[np.int64]:
-        """What the rays see by a program that never enter the world box, int64 (pixels, 3). Raises ProtocolError."""
-        from raygrid.host.render.program_file import for_host
 
-        sums = np.zeros((frame.width * frame.height, 3), np.int64)
-        for_host(program).add_missed(frame, step, sums)
-        return sums
+def _background(call: TraceBackground) -> NDArray[np.int64]:
+    from raygrid.host.render.program_file import for_host
 
-    def warm(self) -> None:
-        """Import what larger frames need, while there is nothing else to do."""
-        import raygrid.emulator.partition.cost_grid
-        import raygrid.emulator.partition.sampling_prepass
-        import raygrid.host.image.picture
-        import raygrid.host.image.resume_check  # noqa: F401
+    sums = np.zeros((call.frame.width * call.frame.height, 3), np.int64)
+    for_host(call.program).add_missed(call.frame, call.step, sums)
+    return sums
+
+
+def _warm_up() -> None:
+    import raygrid.emulator.partition.cost_grid
+    import raygrid.emulator.partition.sampling_prepass
+    import raygrid.host.image.picture
+    import raygrid.host.image.resume_check  # noqa: F401
 
 
 def _picture(finished: Finished) -> Picture:
@@ -153,23 +172,22 @@ def _for_the_array(ready: PreparedFrame) -> PreparedFrame:
     return replace(ready, job=replace(ready.job, scene=bare))
 
 
-def _serve(door: socket.socket, work: ScribeWork) -> None:
+def _serve(stream: socket.socket, work: ScribeWork) -> None:
     """Do what is asked for until the service closes the socket."""
     shared = Shared(SHARED)
-    with door.makefile("rb", buffering=0) as incoming:
-        while (message := _receive(incoming, shared)) is not None:
-            what, arguments = message
+    with stream.makefile("rb", buffering=0) as incoming:
+        while (call := _receive(incoming, shared)) is not None:
             try:
-                answer = "done", getattr(work, what)(*arguments)
+                answer: CallDone[object] | CallFailed = CallDone(work.do(call))
             except Exception as error:
-                answer = "failed", told(error)
-            if what not in UNANSWERED:
+                answer = CallFailed(told(error))
+            if not isinstance(call, Unanswered):
                 for piece in pack(answer, shared):
-                    door.sendall(piece)
+                    stream.sendall(piece)
 
 
-def _receive(incoming: Any, shared: Shared) -> Any:
-    """The next message; None when there will be no more."""
+def _receive(incoming: socket.SocketIO, shared: Shared) -> AnyCall | None:
+    """The next call; None when there will be no more."""
     message = receiving(shared)
     room = next(message)
     try:
@@ -181,7 +199,8 @@ def _receive(incoming: Any, shared: Shared) -> Any:
                 room = room[count:]
             room = next(message)
     except StopIteration as end:
-        return end.value
+        call: AnyCall = end.value
+        return call
 
 
 def main() -> None:
@@ -198,9 +217,9 @@ def main() -> None:
     for number in (signal.SIGINT, signal.SIGHUP):  # of the terminal that the service was launched from
         signal.signal(number, signal.SIG_IGN)
     nx, ny, nz = given.shape
-    with socket.socket(fileno=given.socket) as door, contextlib.suppress(BrokenPipeError, ConnectionResetError):
-        os.set_inheritable(door.fileno(), False)
-        _serve(door, ScribeWork((nx, ny, nz), given.journal, given.outside))
+    with socket.socket(fileno=given.socket) as stream, contextlib.suppress(BrokenPipeError, ConnectionResetError):
+        os.set_inheritable(stream.fileno(), False)
+        _serve(stream, ScribeWork((nx, ny, nz), given.journal, given.outside))
     sys.stderr.flush()
     os._exit(0)
 

@@ -1,7 +1,8 @@
-"""The service of an array that stays: one process an array (`service_process`). docs/service.md describes it.
+"""Runs the service of an array that stays: takes events of the array in, and gives it the frame that is next.
 
-The main thread answers clients, keeps the schedule and writes the journal, and never waits for the array; a thread of
-its own drives that (`worker`), so status, cancel and down are answered at once whatever a frame does.
+One process an array (`process`); docs/service.md describes it. The main thread answers clients, keeps the schedule and
+writes the journal, and never waits for the array; a thread of its own drives that (`worker`), so status, cancel and down
+are answered at once whatever a frame does.
 """
 
 from __future__ import annotations
@@ -13,14 +14,32 @@ import os
 import signal
 import sys
 import time
-from collections import Counter, deque
 from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, BinaryIO, assert_never
 
 from raygrid.emulator.topology import SocketDirectory, process_mark
 from raygrid.host.client.service_files import Home, LockTaken, ServiceRecord
-from raygrid.host.service.worker import Event, Options, Task, Worker
-from raygrid.host.text.clean_text import printable
+from raygrid.host.service.events import (
+    ArrayBroken,
+    ArrayEnded,
+    ArrayReady,
+    ArrayRepaired,
+    ArrayReset,
+    Event,
+    FrameBegun,
+    FrameDone,
+    FrameFailed,
+    FrameInterrupted,
+    FrameMoved,
+    KernelsWarming,
+    NodeSampled,
+    Options,
+    SceneRemarked,
+    Task,
+    TaskEnd,
+)
+from raygrid.host.service.state import ServiceState
+from raygrid.host.service.worker import Worker
 from raygrid.host.text.error_text import told
 from raygrid.node.errors import ArrayError
 
@@ -30,55 +49,38 @@ if TYPE_CHECKING:
 
 END_SECONDS = 30.0  # for the array to end; then its processes see that the service is gone
 SAMPLE_SECONDS = 2.0
-LOOK_SECONDS = 1.0  # between two looks at whether lock, record, journal and door are still there
+LOOK_SECONDS = 1.0  # between two looks at whether lock, record, journal and listener are still there
 SHORT_SECONDS = 2.0  # a frame that will be done sooner than this is not given up for another one
-ENDS_TASK = ("done", "failed", "interrupted")
-FAULTS_KEPT = 20
 ENDING = {signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
 
 
 class ArrayService:
     """One array that stays, its jobs and its clients.
 
-    state, why   launching, ready, broken and why, ending; `finishing`: takes no more jobs and ends after the last
-    task, entry  the frame that is with the array, and its job; None: none
-    now          how far it is: phase, part, in_flight
-    counts       frames done, skipped, failed; resets
-    faults       the last ones; `fault_count`: how many there were
+    state        how it stands
     resets       who waits for a reset
-    prometheus   port at which its figures are served, None for none; to be set before it runs
     """
 
-    def __init__(self, home: Home, options: Options, place: SocketDirectory, tell: Any) -> None:
+    def __init__(self, home: Home, options: Options, place: SocketDirectory, tell: BinaryIO) -> None:
         from raygrid.host.journal.repair import open_journal
         from raygrid.host.service.answers import Answers
         from raygrid.host.service.jobs import Jobs
         from raygrid.host.service.listener import Listener
         from raygrid.host.service.node_samples import Samples
 
-        self.name, self.options, self._tell = home.name, options, tell
+        self.state, self._tell = ServiceState(home.name, options), tell
         self._home, self._place = home, place
         self._loop = asyncio.get_running_loop()
         self.worker = Worker(options, self._post)
-        self.worker.start()  # first of all: the nursery warms up while the rest is made ready
+        self.worker.start()  # first of all: the fork server warms up while the rest is made ready
         self.jobs = Jobs(*open_journal(options.journal), home.keep)
         self.answers = Answers(self)
-        self.door = Listener(place.path, self.answers.answer)
+        self.listener = Listener(place.path, self.answers.answer)
         self.samples = Samples()
-        self.prometheus: int | None = None
-        self.state, self.why = "launching", ""
-        self.task: Task | None = None
-        self.entry: Entry | None = None
-        self.now: dict[str, Any] = {}
         self._serial = 0
         self._given = 0.0  # when the task was given to the array
         self._yielded = 0  # serial of the last task that was given up for a higher priority
-        self.started = time.time()
-        self.counts: Counter[str] = Counter(dict.fromkeys(("done", "skipped", "failed", "resets"), 0))
-        self.faults: deque[dict[str, Any]] = deque(maxlen=FAULTS_KEPT)
-        self.fault_count = 0
         self.resets: list[asyncio.Future[None]] = []
-        self.finishing = False
         self._over = asyncio.Event()
         self._launched = False
         self._record: ServiceRecord | None = None
@@ -89,7 +91,7 @@ class ArrayService:
             self._loop.add_signal_handler(number, self.end)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
         try:
-            await self.door.open()
+            await self.listener.open()
         except BaseException:
             await self._close()
             raise
@@ -108,7 +110,7 @@ class ArrayService:
             words = "the array was taken down; the job goes on when it is up again"
             self.tell_followers(entry.job, {"what": "end", "state": "queued", "error": words})
         self.jobs.close()
-        await self.door.close()
+        await self.listener.close()
         self._place.remove()
 
     async def _sample(self) -> None:
@@ -117,33 +119,33 @@ class ArrayService:
             await asyncio.sleep(SAMPLE_SECONDS)
 
     async def _look_after(self) -> None:
-        """Make anew what somebody has removed that takes all to be litter: directory, lock, record, journal, door."""
+        """Make anew what somebody has removed that takes all to be litter: directory, lock, record, journal, listener."""
         while True:
             await asyncio.sleep(LOOK_SECONDS)
             try:
                 self._home.keep()
             except LockTaken as error:  # by another service: it has our journal, and the jobs in it
-                self.note_fault(f"{error}; this one ends", None)
+                self.state.note_fault(f"{error}; this one ends", None)
                 self.end()
                 return
             except (OSError, ArrayError) as error:
                 print(f"the state directory cannot be made anew: {error}", file=sys.stderr, flush=True)
             try:
-                await self._keep_door()
+                await self._keep_listening()
                 if self._record is not None:
                     self._home.keep_record(self._record)
             except (OSError, ArrayError) as error:
                 print(f"the door cannot be made anew: {error}", file=sys.stderr, flush=True)
             self.jobs.look_after()
 
-    async def _keep_door(self) -> None:
+    async def _keep_listening(self) -> None:
         """Let clients come, wherever that can be. Raises OSError, ArrayError."""
         there = self._place.keep()
-        if there and self.door.is_sound():
+        if there and self.listener.is_sound():
             return
         if not there:
             self._place = SocketDirectory.create((1, 1, 1))
-        await self.door.open(self._place.path)
+        await self.listener.open(self._place.path)
         if self._record is not None:
             self._record = replace(self._record, directory=self._place.path)
 
@@ -157,26 +159,51 @@ class ArrayService:
     def _hear(self, event: Event) -> None:
         """Take in an event. Whatever goes wrong with it, the array goes on with what is next."""
         try:
-            getattr(self, f"_hear_{event.kind}")(event)
+            self._take(event)
         except Exception as error:
-            self.note_fault(told(error), event.task)
+            self.state.note_fault(told(error), getattr(event, "task", None))
         finally:
-            if event.kind in ENDS_TASK:
+            if isinstance(event, TaskEnd):
                 self.next()
 
-    def _hear_warming(self, event: Event) -> None:
-        self._report({"is": "warming", **event.facts})
+    def _take(self, event: Event) -> None:
+        match event:
+            case KernelsWarming():
+                self._report({"is": "warming", **asdict(event)})
+            case ArrayReady():
+                self._array_ready(event)
+            case ArrayBroken():
+                self._array_broken(event)
+            case ArrayRepaired(fault, task):
+                self.state.note_fault(fault, task)
+                if task is not None:
+                    self.tell_followers(task.job, {"what": "fault", "text": fault})
+            case ArrayReset():
+                self._array_reset()
+            case NodeSampled():
+                self._node_sampled(event)
+            case ArrayEnded():
+                self._over.set()
+            case FrameBegun(task):
+                self.state.moved = FrameMoved(task)
+            case SceneRemarked(task, text):
+                self.tell_followers(task.job, {"what": "note", "text": text})
+            case FrameMoved():
+                self._frame_moved(event)
+            case FrameDone() | FrameFailed() | FrameInterrupted():
+                self._frame_ended(event)
+            case _:
+                assert_never(event)
 
-    def _hear_ready(self, event: Event) -> None:
-        if self.state == "ending":
+    def _array_ready(self, event: ArrayReady) -> None:
+        state = self.state
+        if state.condition == "ending":
             return
-        self.state, self.why = "ready", ""
+        state.condition, state.why = "ready", ""
         if not self._launched:
             self._launched = True
-            mark = process_mark(os.getpid()) or ""
-            self._record = ServiceRecord(
-                self.name, os.getpid(), mark, self._place.path, self.options.shape, self.started
-            )
+            pid, mark = os.getpid(), process_mark(os.getpid()) or ""
+            self._record = ServiceRecord(state.name, pid, mark, self._place.path, state.options.shape, state.started)
             try:
                 self._home.keep_record(self._record)
             except OSError as error:
@@ -187,130 +214,97 @@ class ArrayService:
             said = {
                 "unfinished": len(self.jobs.schedule.entries),
                 "remarks": list(self.jobs.remarks),
-                "prometheus": self.prometheus,
+                "prometheus": state.prometheus,
             }
-            self._report({"is": "ready", "pid": os.getpid(), "nodes": event.facts["pids"], **said})
+            self._report({"is": "ready", "pid": pid, "nodes": event.pids, **said})
             self._tell.close()
-        self.samples.take(event.facts["pids"])
+        self.samples.take(event.pids)
         self.next()
 
-    def _hear_broken(self, event: Event) -> None:
-        if self.state == "ending":
+    def _array_broken(self, event: ArrayBroken) -> None:
+        if self.state.condition == "ending":
             return
-        self.state, self.why = "broken", event.facts["why"]
-        self.note_fault(event.facts["why"], event.task)
+        self.state.condition, self.state.why = "broken", event.why
+        self.state.note_fault(event.why, event.task)
         if not self._launched:
-            self._report({"is": "error", "error": event.facts["why"]})
+            self._report({"is": "error", "error": event.why})
             self.end()
 
-    def _hear_begun(self, event: Event) -> None:
-        assert event.task is not None
-        self.now = {"phase": "read", "part": 0.0, "in_flight": 0}
-
-    def _hear_moved(self, event: Event) -> None:
-        assert event.task is not None
-        self.now = event.facts
-        if self.entry is not None and not self.entry.ended:
-            about = {
-                "what": "progress",
-                "frame": event.task.frame,
-                "done": self.entry.done,
-                "frames": self.entry.total,
-            }
-            self.tell_followers(event.task.job, {**about, **event.facts}, droppable=True)
-
-    def _hear_note(self, event: Event) -> None:
-        assert event.task is not None
-        self.tell_followers(event.task.job, {"what": "note", "text": event.facts["text"]})
-
-    def _hear_fault(self, event: Event) -> None:
-        self.note_fault(event.facts["what"], event.task)
-        if event.task is not None:
-            self.tell_followers(event.task.job, {"what": "fault", "text": event.facts["what"]})
-
-    def _hear_done(self, event: Event) -> None:
-        entry, task = self._settle(event)
-        facts = event.facts
-        self.counts["skipped" if facts["skipped"] else "done"] += 1
-        if not entry.ended:
-            seconds = facts["seconds"].get("whole", 0.0)
-            self.jobs.frame_done(entry, facts["skipped"], seconds, facts["files"] | facts["played"])
-            about = {"frame": task.frame, "files": list(facts["files"]), "skipped": facts["skipped"]}
-            about["played"] = list(facts["played"])
-            self.tell_followers(entry.job, {"what": "frame", **about, "seconds": facts["seconds"]})
-            self.tell_end(entry)
-
-    def _hear_failed(self, event: Event) -> None:
-        entry, task = self._settle(event)
-        self.counts["failed"] += 1
-        if not entry.ended:
-            where = "" if task.frame is None else f"frame {task.frame}: "
-            self.jobs.fail(entry, where + event.facts["why"])
-            self.tell_end(entry)
-
-    def _hear_interrupted(self, event: Event) -> None:
-        entry, _ = self._settle(event)
-        if not entry.ended:
-            self.jobs.schedule.put_back(entry)
-
-    def _hear_reset(self, event: Event) -> None:
-        self.counts["resets"] += 1
+    def _array_reset(self) -> None:
+        self.state.counts["resets"] += 1
         for waiting in self.resets:
             if not waiting.done():
                 waiting.set_result(None)
         self.resets.clear()
 
-    def _hear_sample(self, event: Event) -> None:
-        told: Message | None = None
-        for client in self.door.clients:
+    def _node_sampled(self, event: NodeSampled) -> None:
+        message: Message | None = None
+        for client in self.listener.clients:
             if client.rate:
-                told = told or {"is": "event", "what": "sample", "sample": asdict(event.facts["sample"])}
-                client.send(told, droppable=True)
+                message = message or {"is": "event", "what": "sample", "sample": asdict(event.sample)}
+                client.send(message, droppable=True)
         self.set_rate()  # a client may have left
 
     def set_rate(self) -> None:
         """Probe the array as often as the client wants that wants it most."""
-        self.worker.supervisor.rate = max((client.rate for client in self.door.clients), default=0.0)
+        self.worker.supervisor.rate = max((client.rate for client in self.listener.clients), default=0.0)
 
-    def _hear_ended(self, event: Event) -> None:
-        self._over.set()
+    def _frame_moved(self, event: FrameMoved) -> None:
+        self.state.moved, entry = event, self.state.entry
+        if entry is not None and not entry.ended:
+            about = {"what": "progress", "frame": event.task.frame, "done": entry.done, "frames": entry.total}
+            self.tell_followers(event.task.job, {**about, **event.facts}, droppable=True)
 
-    def _settle(self, event: Event) -> tuple[Entry, Task]:
-        """The task of an event is under way no more."""
-        entry, task = self.entry, event.task
+    def _frame_ended(self, event: TaskEnd) -> None:
+        """A frame is with the array no more; its job may have ended before."""
+        entry, task, counts = self.state.entry, event.task, self.state.counts
         assert entry is not None
-        assert task is not None
-        self.entry = self.task = None
-        self.now = {}
-        return entry, task
+        self.state.settle()
+        match event:
+            case FrameDone(task, files, played, skipped, seconds):
+                counts["skipped" if skipped else "done"] += 1
+                if not entry.ended:
+                    self.jobs.frame_done(entry, skipped, seconds.get("whole", 0.0), files | played)
+                    about = {"frame": task.frame, "files": list(files), "skipped": skipped, "played": list(played)}
+                    self.tell_followers(entry.job, {"what": "frame", **about, "seconds": seconds})
+                    self.tell_end(entry)
+            case FrameFailed(task, why):
+                counts["failed"] += 1
+                if not entry.ended:
+                    where = "" if task.frame is None else f"frame {task.frame}: "
+                    self.jobs.fail(entry, where + why)
+                    self.tell_end(entry)
+            case FrameInterrupted() if not entry.ended:
+                self.jobs.schedule.put_back(entry)
 
     def next(self) -> None:
         """Give the array its next frame, if there is one: when it has none, or its own is to be given up for it."""
-        if self.state != "ready":
+        state = self.state
+        if state.condition != "ready":
             return
-        if self.task is not None:
+        if state.task is not None:
             self._yield()
             return
         found = self.jobs.schedule.next()
         if found is None:
-            if self.finishing:
+            if state.finishing:
                 self.end()
             return
         entry, frame = found
         request = self.jobs.request(entry.job)
         self._serial += 1
         number = None if request.frames is None else frame
-        self.task = Task(self._serial, entry.job, number, request, last=not entry.todo)
-        self.entry, self._given = entry, time.monotonic()
+        state.task = Task(self._serial, entry.job, number, request, last=not entry.todo)
+        state.entry, self._given = entry, time.monotonic()
         self.jobs.begun(entry)
-        self.worker.give(self.task)
+        self.worker.give(state.task)
 
     def _yield(self) -> None:
         """Give the running frame up, to be begun again later, if a higher priority waits and it would take long."""
-        entry, task = self.entry, self.task
+        entry, task, moved = self.state.entry, self.state.task, self.state.moved
         if entry is None or task is None or entry.ended or self._yielded == task.serial:
             return
-        part = self.now.get("part", 0.0) if self.now.get("phase") in ("trace", "collect", "write") else 0.0
+        part = moved.part if moved is not None and moved.phase in ("trace", "collect", "write") else 0.0
         spent = time.monotonic() - self._given
         if part and spent * (1.0 - part) / part < SHORT_SECONDS:
             return
@@ -334,17 +328,9 @@ class ArrayService:
         except OSError:
             self.end()
 
-    def note_fault(self, what: str, task: Task | None) -> None:
-        """Remember a fault, and write it to the log."""
-        what = printable(what)
-        self.fault_count += 1
-        where = {} if task is None else {"job": task.job, "frame": task.frame}
-        self.faults.append({"at": time.time(), "what": what, **where})
-        print(f"{time.strftime('%Y-%m-%d %H:%M:%S')} fault: {what}", file=sys.stderr, flush=True)
-
     def tell_followers(self, job: int, event: Message, droppable: bool = False) -> None:
         """Tell all that follow a job of an event."""
-        for client in self.door.clients:
+        for client in self.listener.clients:
             if job in client.follows:
                 client.send({"is": "event", "job": job, **event}, droppable)
                 if event["what"] == "end":
@@ -360,9 +346,9 @@ class ArrayService:
 
     def end(self) -> None:
         """Give up the running frame, which stays in the journal, and end."""
-        if self.state == "ending":
+        if self.state.condition == "ending":
             return
-        self.state = "ending"
+        self.state.condition = "ending"
         self.worker.ask_end()
         self._loop.call_later(END_SECONDS, self._give_up)
 

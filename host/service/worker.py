@@ -1,4 +1,4 @@
-"""The thread of a service that drives the array: one frame after another, and what became of each.
+"""Drives the array in a thread of the service: one frame after another, and tells what became of each.
 
 The service hands it tasks and interrupts it; it answers by events, each handed to `post` in this thread.
 """
@@ -8,13 +8,43 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from raygrid.host.service.array_supervisor import ArraySupervisor, NoArray
-from raygrid.host.service.scribe import Begun, Finished, Scribe, ScribeLost
+from raygrid.host.service.events import (
+    ArrayBroken,
+    ArrayEnded,
+    ArrayReady,
+    ArrayRepaired,
+    ArrayReset,
+    Event,
+    FrameBegun,
+    FrameDone,
+    FrameFailed,
+    FrameInterrupted,
+    FrameMoved,
+    KernelsWarming,
+    NodeSampled,
+    Options,
+    SceneRemarked,
+    Task,
+    TaskEnd,
+)
+from raygrid.host.service.scribe import Scribe, ScribeLost
+from raygrid.host.service.scribe_calls import (
+    BeginFrame,
+    Finished,
+    FinishFrame,
+    KeepFrame,
+    ListLacking,
+    PlayFrames,
+    PrepareAgain,
+    SweepFilms,
+    TraceBackground,
+    WarmUp,
+)
 from raygrid.host.text.clean_text import printable
 from raygrid.host.text.error_text import told
 
@@ -23,10 +53,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from raygrid.emulator.driver import Progress
-    from raygrid.host.client.requests import SubmitMessage
     from raygrid.host.image.picture import Picture
-    from raygrid.host.render.job import Job
-    from raygrid.host.service.scene_store import PreparedFrame
+    from raygrid.host.render.machine_job import Job
+    from raygrid.host.render.prepared import PreparedFrame
 
 LAUNCH_SECONDS = 5.0  # between two attempts to launch an array that could not be
 LOOK_SECONDS = 0.25  # between two looks at an array that has nothing to do
@@ -38,58 +67,10 @@ class Interrupted(Exception):
     """The frame was given up because the service asked for it."""
 
 
-@dataclass(frozen=True)
-class Task:
-    """A frame to be rendered. `frame` is None if the job names no frames; `last`: no other of the job is left."""
-
-    serial: int
-    job: int
-    frame: int | None
-    request: SubmitMessage
-    last: bool = True
-
-
-class Event(NamedTuple):
-    """What happened: its kind, the task that it is about, and what there is to say.
-
-    warming   done, total, what        compiling or loading kernels
-    ready     pids                     the array can render
-    broken    why                      it cannot, and could not be launched again
-    begun                              a task was begun
-    note      text                     a remark on its scene
-    moved     phase, part, in_flight   how far it is; `part` of its rays from 0 to 1
-    done      files, played, skipped, seconds  its files are there, path -> digest; `played`: those that hold all
-                                       frames of the job, if they were written now
-    failed    why                      it cannot be done
-    interrupted                        it was given up, as asked
-    fault     what                     the array failed and was repaired
-    reset                              it was reset, as asked
-    sample    sample                   how a node stands
-    ended                              the thread has ended, and the array with it
-    """
-
-    kind: str
-    task: Task | None = None
-    facts: dict[str, Any] = {}  # noqa: RUF012  (never changed)
-
-
-@dataclass
-class Options:
-    """Of the array: processors on each axis, most packets a message, seconds until it is taken to hang, its journal,
-    whether it takes programs, and whether scenes may refer to files outside their folders."""
-
-    shape: tuple[int, int, int]
-    batch: int = 4096
-    patience: float = 30.0
-    journal: Path = field(default_factory=Path)
-    programs: bool = False
-    outside: bool = False
-
-
 class Worker(threading.Thread):
     """Drives the array.
 
-    keeper    of the array
+    supervisor  of the array
     """
 
     def __init__(self, options: Options, post: Callable[[Event], None]) -> None:
@@ -103,16 +84,14 @@ class Worker(threading.Thread):
         self._noted: set[tuple[int, str]] = set()
         self.supervisor = ArraySupervisor(
             options.shape,
-            lambda what: post(Event("fault", self._task, {"what": what})),
+            lambda what: post(ArrayRepaired(what, self._task)),
             self._look,
             batch=options.batch,
             patience=options.patience,
             programs=options.programs,
-            on_warming=lambda *now: post(
-                Event("warming", None, dict(zip(("done", "total", "what"), now, strict=True)))
-            ),
+            on_warming=lambda done, total, what: post(KernelsWarming(done, total, what)),
         )
-        self.supervisor.on_sample = lambda sample: post(Event("sample", None, {"sample": sample}))
+        self.supervisor.on_sample = lambda sample: post(NodeSampled(sample))
         arguments = [str(options.journal), *map(str, options.shape), *["--outside"] * options.outside]
         self._scribe = Scribe(arguments, self._look)
         self._unswept = True  # whether frames may wait for a job that has ended
@@ -147,19 +126,19 @@ class Worker(threading.Thread):
             self._ending = False  # or the array could not say goodbye
             self._scribe.close()
             self.supervisor.close()
-            self._post(Event("ended"))
+            self._post(ArrayEnded())
 
     def _launch(self) -> bool:
         try:
             self._scribe.start()
             self.supervisor.launch()
-            self._scribe.tell("warm")
+            self._scribe.tell(WarmUp())
         except Interrupted:
             return False
         except Exception as error:
-            self._post(Event("broken", None, {"why": told(error)}))
+            self._post(ArrayBroken(told(error)))
             return False
-        self._post(Event("ready", None, {"pids": self.supervisor.pids}))
+        self._post(ArrayReady(self.supervisor.pids))
         return True
 
     def _serve(self) -> None:
@@ -168,7 +147,7 @@ class Worker(threading.Thread):
                 given = self._inbox.get(timeout=LOOK_SECONDS if self.supervisor.there else LAUNCH_SECONDS)
             except queue.Empty:
                 if self._unswept:
-                    self._scribe.tell("sweep")
+                    self._scribe.tell(SweepFilms())
                     self._unswept = False
                 self._repair(self.supervisor.check)
                 continue
@@ -176,7 +155,7 @@ class Worker(threading.Thread):
                 self._unswept = True
                 self._do(given)
             elif given == "reset" and self._repair(self.supervisor.reset):
-                self._post(Event("reset"))
+                self._post(ArrayReset())
 
     def _repair(self, work: Callable[[], None]) -> bool:
         """Look after the array; whether it can be used."""
@@ -186,10 +165,10 @@ class Worker(threading.Thread):
         except Interrupted:
             return False
         except Exception as error:
-            self._post(Event("broken", None, {"why": told(error)}))
+            self._post(ArrayBroken(told(error)))
             return False
         if self.supervisor.pids not in ([], pids):
-            self._post(Event("ready", None, {"pids": self.supervisor.pids}))
+            self._post(ArrayReady(self.supervisor.pids))
         return True
 
     def _do(self, task: Task) -> None:
@@ -197,26 +176,26 @@ class Worker(threading.Thread):
         pids = self.supervisor.pids
         try:
             self._look()
-            self._post(Event("begun", task))
-            event = self._frame(task)
+            self._post(FrameBegun(task))
+            event: TaskEnd = self._frame(task)
         except Interrupted:
-            event = Event("interrupted", task)
+            event = FrameInterrupted(task)
         except NoArray as error:  # the frame can wait
-            self._post(Event("broken", task, {"why": told(error)}))
-            event = Event("interrupted", task)
+            self._post(ArrayBroken(told(error), task))
+            event = FrameInterrupted(task)
         except Exception as error:
-            event = Event("failed", task, {"why": told(error)})
+            event = FrameFailed(task, told(error))
         finally:
             self._task = None
         self._make_scribe()
         if self.supervisor.pids not in ([], pids):
-            self._post(Event("ready", None, {"pids": self.supervisor.pids}))
+            self._post(ArrayReady(self.supervisor.pids))
         self._post(event)
 
     def _make_scribe(self) -> None:
         """Start the scribe if it had to be killed, before it is needed."""
         if self._scribe.pid is None:
-            self._scribe.tell("warm")
+            self._scribe.tell(WarmUp())
 
     def _look(self) -> None:
         """Called often while the array works. Raises Interrupted."""
@@ -225,7 +204,7 @@ class Worker(threading.Thread):
 
     # --- one frame ------------------------------------------------------------------------------------
 
-    def _frame(self, task: Task) -> Event:
+    def _frame(self, task: Task) -> FrameDone:
         """Make a frame, and begin it again if the scribe ends meanwhile: a scene that is its end each time fails its job."""
         for _ in range(ATTEMPTS - 1):
             try:
@@ -234,62 +213,65 @@ class Worker(threading.Thread):
                 self._note(task, [f"{error}; the frame is begun again"])
         return self._make(task)
 
-    def _make(self, task: Task) -> Event:
+    def _make(self, task: Task) -> FrameDone:
         began = time.perf_counter()
         request = task.request
         self._tell(task, "read", 0.0, 0)
-        begun: Begun = self._scribe.ask("begin", task.job, request, task.frame, self._options.programs)
+        begun = self._scribe.ask(BeginFrame(task.job, request, task.frame, self._options.programs))
         self._note(task, begun.remarks)
-        facts: dict[str, Any] = {"files": begun.files, "skipped": begun.ready is None, "played": {}, "seconds": {}}
+        seconds: dict[str, float] = {}
         if begun.ready is not None:
             picture = self._picture(task, begun.ready)
             self._tell(task, "write", 1.0, 0)
-            self._scribe.ask("finish", Finished(picture.sums, picture.samples, picture.stats))
-            facts["seconds"] = dict(picture.stats["wall_seconds"]) | {"whole": round(time.perf_counter() - began, 6)}
-        if task.last:
-            facts["played"] = self._play(task)
-        return Event("done", task, facts)
+            self._scribe.ask(FinishFrame(Finished(picture.sums, picture.samples, picture.stats)))
+            seconds = dict(picture.stats["wall_seconds"]) | {"whole": round(time.perf_counter() - began, 6)}
+        played = self._play(task) if task.last else {}
+        return FrameDone(task, begun.files, played, begun.ready is None, seconds)
 
     def _play(self, task: Task) -> dict[str, str]:
         """Write the files that hold all frames of a job, whose last is done; frames that have gone are rendered again."""
-        for number in self._scribe.ask("lacking"):
-            picture = self._picture(task, self._scribe.ask("again", number))
-            self._scribe.ask("keep", number, Finished(picture.sums, picture.samples, picture.stats))
-        played: dict[str, str] = self._scribe.ask("play")
-        return played
+        for number in self._scribe.ask(ListLacking()):
+            picture = self._picture(task, self._scribe.ask(PrepareAgain(number)))
+            self._scribe.ask(KeepFrame(number, Finished(picture.sums, picture.samples, picture.stats)))
+        return self._scribe.ask(PlayFrames())
 
     def _picture(self, task: Task, ready: PreparedFrame) -> Picture:
-        ready = replace(ready, job=replace(ready.job, add_missed=self._add_missed))
-        picture = self.supervisor.render(ready, task.request.budget, self._watch(task, ready))
+        job = replace(ready.job, add_missed=self._add_missed)
+        picture = self.supervisor.render(job, task.request.budget, self._watch(task, ready))
         if (blank := picture.blank()) is not None:
             self._note(task, [blank if task.frame is None else f"frame {task.frame}: {blank}"])
         return picture
 
     def _add_missed(self, job: Job, sums: NDArray[np.int64]) -> None:
         """The background of a program runs in the scribe: it may never come to an end."""
-        sums += self._scribe.ask("background", job.settings.program, job.frame, job.space.step)
+        assert job.settings.program is not None
+        sums += self._scribe.ask(TraceBackground(job.settings.program, job.frame, job.space.step))
 
     def _watch(self, task: Task, ready: PreparedFrame) -> Callable[[str, Progress | None], None]:
+        from raygrid.host.render.machine_job import samples_expected
+
+        expected = samples_expected(ready.job)
+
         def watch(phase: str, now: Progress | None) -> None:
             self._look()
             if now is None:
                 self._tell(task, phase, 1.0 if phase == "collect" else 0.0, 0)
             elif time.monotonic() - self._told > TELL_SECONDS:
                 born, died = sum(now.born), sum(now.died)
-                part = min(1.0, now.primaries / ready.expected) * died / max(born, 1)
+                part = min(1.0, now.primaries / expected) * died / max(born, 1)
                 self._tell(task, phase, part, now.in_flight)
 
         return watch
 
     def _tell(self, task: Task, phase: str, part: float, in_flight: int) -> None:
         self._told = time.monotonic()
-        self._post(Event("moved", task, {"phase": phase, "part": part, "in_flight": in_flight}))
+        self._post(FrameMoved(task, phase, part, in_flight))
 
-    def _note(self, task: Task, remarks: Any) -> None:
+    def _note(self, task: Task, remarks: Iterable[str]) -> None:
         """Tell of remarks, each once a job."""
         for text in map(printable, remarks):
             if (task.job, text) not in self._noted:
                 self._noted.add((task.job, text))
-                self._post(Event("note", task, {"text": text}))
+                self._post(SceneRemarked(task, text))
         if len(self._noted) > 10_000:
             self._noted.clear()

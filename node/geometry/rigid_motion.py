@@ -14,6 +14,7 @@ IEEE 754, and sums in a fixed order. (A product of matrices by BLAS may round in
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -175,7 +176,7 @@ def groups_order(moves: Moves) -> dict[str, Any]:
     return {"do": "groups", "ranges": ranges.astype("<u4").tobytes(), "motions": moves.motions.astype("<f8").tobytes()}
 
 
-def read_groups(order: dict[str, Any]) -> Moves:
+def read_groups(order: Mapping[str, object]) -> Moves:
     """The groups of an order. Raises ProtocolError."""
     ranges, motions = _table(order, "ranges", "<u4", 3).astype(np.int64), _table(order, "motions", "<f8", MOTION)
     if len(motions) > MAX_GROUPS or len(ranges) > MAX_RANGES:
@@ -192,7 +193,7 @@ def move_order(groups: NDArray[Any], motions: F64) -> dict[str, Any]:
     return {"do": "move", "groups": groups.astype("<u4").tobytes(), "motions": motions.astype("<f8").tobytes()}
 
 
-def read_move(order: dict[str, Any], moves: Moves) -> Moves:
+def read_move(order: Mapping[str, object], moves: Moves) -> Moves:
     """The moves after an order. Raises ProtocolError."""
     numbers, motions = _table(order, "groups", "<u4", 1)[:, 0].astype(np.int64), _table(order, "motions", "<f8", MOTION)
     if len(numbers) != len(motions) or (numbers >= moves.groups.many).any() or len(np.unique(numbers)) != len(numbers):
@@ -206,7 +207,7 @@ def read_move(order: dict[str, Any], moves: Moves) -> Moves:
     return moves._replace(motions=every)
 
 
-def _table(order: dict[str, Any], name: str, dtype: str, columns: int) -> NDArray[Any]:
+def _table(order: Mapping[str, object], name: str, dtype: str, columns: int) -> NDArray[Any]:
     data = order.get(name)
     if not isinstance(data, bytes) or len(data) % (np.dtype(dtype).itemsize * columns):
         raise ProtocolError(f"the order {order.get('do')!r} came with {name} that are not rows of {columns} numbers")

@@ -13,7 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raygrid.node.geometry.grid_walk import HOST
 from raygrid.node.geometry.lattice import HALF, Cell, Space
+from raygrid.node.jit.decorators import part
 
 
 class Branch(NamedTuple):
@@ -36,6 +38,20 @@ def corners(shape: tuple[int, int, int]) -> dict[int, tuple[int, int, int]]:
         for corner in range(8)
         if all(shape[axis] > 1 or not corner >> axis & 1 for axis in range(3))
     }
+
+
+def towards_corner(index: tuple[int, int, int], shape: tuple[int, int, int]) -> int:
+    """The output on the way to the nearest corner, the lower one on a tie; HOST at the corner."""
+    for axis in range(3):
+        near_low = 2 * index[axis] <= shape[axis] - 1
+        if near_low and index[axis] > 0:
+            return 2 * axis
+        if not near_low and index[axis] < shape[axis] - 1:
+            return 2 * axis + 1
+    return HOST
+
+
+towards_corner_part = part(towards_corner)
 
 
 def branches(corner: int, space: Space, cell: Cell) -> list[Branch]:

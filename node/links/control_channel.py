@@ -1,13 +1,14 @@
-"""One end of the line between the host and a node: the reset line on its way down, probe samples on their way up (law 9).
+"""Carries messages between the host and a node: the reset line on its way down, probe samples on their way up (law 9).
 
-A line is a pair of unix SOCK_SEQPACKET sockets, made when the node is forked. It has no name in the file system, so
-nobody but its two owners can speak on it. Words are msgpack maps. Neither end ever blocks: words for which there is
-no room are dropped and counted, and words that are none are refused and counted, never obeyed.
+A control channel is a pair of unix SOCK_SEQPACKET sockets, made when the node is forked. It has no name in the file
+system, so nobody but its two owners can speak on it. Messages are msgpack maps. Neither end ever blocks: messages for which
+there is no room are dropped and counted, and messages that are none are refused and counted, never obeyed.
 """
 
 from __future__ import annotations
 
 import socket
+from collections.abc import Mapping
 from typing import Any
 
 from raygrid.node.errors import ProtocolError
@@ -17,10 +18,10 @@ LONGEST_CONTROL_MESSAGE = 1 << 16  # bytes
 
 
 class ControlChannel:
-    """One end of a line.
+    """One end of a control channel.
 
-    closed   nothing more can be said or heard: the other end is gone
-    dropped  words that were not sent, because there was no room
+    closed   nothing more can be sent or received: the other end is gone
+    dropped  messages that were not sent, because there was no room
     refused  what came and was no map, or too long
     """
 
@@ -34,11 +35,11 @@ class ControlChannel:
         """The descriptor to poll; -1 after `close`."""
         return self._socket.fileno()
 
-    def send(self, words: dict[str, Any]) -> bool:
-        """Say something now; False if there is no room, or nobody to hear it. Raises ProtocolError if it is too long."""
-        data = pack_map(words)
+    def send(self, message: Mapping[str, object]) -> bool:
+        """Send a message now; False if there is no room, or nobody to receive it. Raises ProtocolError if it is too long."""
+        data = pack_map(message)
         if len(data) > LONGEST_CONTROL_MESSAGE:
-            raise ProtocolError(f"words for a line have {len(data)} bytes, wanted at most {LONGEST_CONTROL_MESSAGE}")
+            raise ProtocolError(f"a control message has {len(data)} bytes, wanted at most {LONGEST_CONTROL_MESSAGE}")
         if self.closed:
             return False
         try:
@@ -51,7 +52,7 @@ class ControlChannel:
         return True
 
     def receive(self) -> dict[str, Any] | None:
-        """The next words, None if there are none now or the line is closed."""
+        """The next message, None if there is none now or the channel is closed."""
         while not self.closed:
             try:
                 data = self._socket.recv(LONGEST_CONTROL_MESSAGE + 1)
@@ -65,7 +66,7 @@ class ControlChannel:
                 self.refused += 1
             else:
                 try:
-                    return read_map(data, "words")
+                    return read_map(data, "a control message")
                 except ProtocolError:
                     self.refused += 1
         return None

@@ -1,4 +1,4 @@
-"""A channel that does on purpose what a bad link does, for experiments (`raygrid render --fault`).
+"""Harms messages on purpose as a bad link does, for experiments (`raygrid render --fault`).
 
     drop      a message is lost
     double    a message comes twice
@@ -16,7 +16,7 @@ import random
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from raygrid.node.links.link import Channel
@@ -55,7 +55,7 @@ class FaultyChannel:
     """A channel that hits some of the messages sent over it.
 
     key   what the choice of messages follows from, beside the plan's seed
-    tell  called with a map for each message that is hit
+    tell  called with a map for each message that is hit; what it returns is not looked at
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class FaultyChannel:
         inner: Channel,
         plan: FaultPlan,
         key: Iterable[int],
-        tell: Callable[[dict[str, Any]], object] = lambda words: None,
+        tell: Callable[[dict[str, object]], object] = lambda message: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.inner, self._plan, self._tell, self._clock = inner, plan, tell, clock
@@ -125,7 +125,7 @@ class FaultyChannel:
         self.inner.close()
 
 
-def tend(channels: Iterable[FaultyChannel], patience: int | None) -> int:
+def send_delayed(channels: Iterable[FaultyChannel], patience: int | None) -> int:
     """Send what is due on these channels; returns the milliseconds to wait for messages, at most TICK_MS."""
     for channel in channels:
         channel.release()

@@ -1,4 +1,4 @@
-"""One end of a link between two neighbours, over any channel that carries whole messages in order.
+"""Speaks the link protocol: one end of a link between two neighbours, over any channel that carries whole messages in order.
 
 A channel's word proves nothing (a black-holed ZeroMQ peer sees all its sends succeed), so the link itself
 says HELLO and waits for ACK, numbers what it sends, and closes with BYE and its answer. It never blocks: a
@@ -10,19 +10,21 @@ message that may not go yet (no credit, or the channel is full) waits in the lin
     CLOSING   BYE sent; ACK, BYE_ACK    as before, and BYE_ACK once
     CLOSED    nothing                   nothing
 
-Who has heard BYE takes only ACK and BYE_ACK after it. What waits for credit when a link is closed is given up.
+Who has seen BYE takes only ACK and BYE_ACK after it. What waits for credit when a link is closed is given up.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from enum import Enum
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.node.errors import ProtocolError
+from raygrid.node.jit.records import Record, Rows, record
 from raygrid.node.protocol.messages import (
     HEAD,
     HEADER,
@@ -39,14 +41,6 @@ from raygrid.node.protocol.messages import (
 )
 from raygrid.node.protocol.packets import SIZE
 
-# places in a link's book: whole numbers that compiled code keeps, too (`node.runtime.event_loop`)
-SOCKET, REGULAR, EPOCH = 0, 1, 2  # address of its ZeroMQ socket, 0: not for compiled code; `Link.regular`; epoch
-LINK_SENT, LINK_RECEIVED = 3, 4  # messages, and so the sequence numbers of the next ones
-LINK_DATA_SENT, CREDIT = 5, 6  # messages with data: sent, and of these processed by the peer
-LINK_DATA_DONE, LINK_DATA_TOLD = 7, 8  # of the peer's: processed, and of these told to it
-MESSAGES_SENT, BYTES_SENT = 9, 10
-LINK_STATE = 11
-
 MESSAGE_OVERHEAD = 250  # bytes, more than a message that waits here takes beside its payload
 
 
@@ -61,6 +55,31 @@ class Channel(Protocol):
 
     def close(self) -> None:
         """Give the channel up; messages under way may be lost."""
+
+
+@record
+class LinkState(Record):
+    """What both Python and compiled code (`node.runtime.event_loop`) count of a link.
+
+    socket         address of its ZeroMQ socket; 0: none that compiled code may use
+    regular        `Link.regular`
+    epoch          of its messages
+    sent, received messages so far, and so the sequence numbers of the next ones
+    data_sent      messages with data that were sent; credit: of these processed by the peer
+    data_done      messages with data from the peer that were processed; data_told: of these told to it
+    bytes_sent     headers included
+    """
+
+    socket: int
+    regular: int
+    epoch: int
+    sent: int
+    received: int
+    data_sent: int
+    credit: int
+    data_done: int
+    data_told: int
+    bytes_sent: int
 
 
 class LinkPhase(Enum):
@@ -87,16 +106,17 @@ class Link:
     identity  what HELLO says: machine, coordinates, port; the peer's must equal `peer`
     """
 
-    def __init__(self, channel: Channel, name: str, epoch: int, identity: dict[str, Any], peer: dict[str, Any]) -> None:
+    def __init__(
+        self, channel: Channel, name: str, epoch: int, identity: dict[str, object], peer: dict[str, object]
+    ) -> None:
         self.channel = channel
         self.name = name
         self.epoch = epoch
-        self._link_state = np.zeros(LINK_STATE, np.int64).data
+        self._counted = LinkState(epoch=epoch)
         self.state = LinkPhase.NEW
         self._identity = {**identity, "version": VERSION}
         self._peer = {**peer, "version": VERSION}
-        self._heard = self._acknowledged = self._bye_heard = self._bye_answered = False
-        self._link_state[EPOCH] = epoch
+        self._hello_seen = self._acknowledged = self._bye_seen = self._bye_answered = False
         # data without credit, and orders that the channel had no room for; to be looked at, not changed, from outside
         self.queued: deque[tuple[MessageKind, int, bytes]] = deque()
         self.urgent: deque[tuple[MessageKind, bytes]] = deque()
@@ -116,12 +136,12 @@ class Link:
         """Whether a message could go by the link's rules, but the channel had no room for it."""
         return bool(self.urgent) or (bool(self.queued) and self._may_send_data())
 
-    def send_order(self, kind: MessageKind, order: dict[str, Any]) -> None:
+    def send_order(self, kind: MessageKind, order: Mapping[str, object]) -> None:
         """Send an order or answer; it needs no credit, because waves are few."""
         self._post(kind, pack_order(order))
 
-    def send_words(self, kind: MessageKind, payload: bytes) -> None:
-        """Send a message of a tally; no credit either."""
+    def send_payload(self, kind: MessageKind, payload: bytes) -> None:
+        """Send a message of a reduction; no credit either."""
         self._post(kind, payload)
 
     def send_data(self, kind: MessageKind, count: int, payload: bytes) -> None:
@@ -163,11 +183,8 @@ class Link:
 
     def grant(self, messages: int = 1) -> None:
         """Say that this many data messages from the peer have been processed."""
-        self._link_state[LINK_DATA_DONE] += messages
-        if (
-            self._link_state[LINK_DATA_DONE] - self._link_state[LINK_DATA_TOLD] >= WINDOW // 2
-            and self.state is LinkPhase.UP
-        ):
+        self._counted.data_done += messages
+        if self._counted.data_done - self._counted.data_told >= WINDOW // 2 and self.state is LinkPhase.UP:
             self._post(MessageKind.CREDIT, b"")
 
     def give_up(self) -> None:
@@ -193,14 +210,14 @@ class Link:
         self.most_waiting_bytes = max(self.most_waiting_bytes, self._waiting_bytes)
 
     def _may_send_data(self) -> bool:
-        return self.state == LinkPhase.UP and self._link_state[LINK_DATA_SENT] - self._link_state[CREDIT] < WINDOW
+        return self.state == LinkPhase.UP and self._counted.data_sent - self._counted.credit < WINDOW
 
     def _header(self, kind: MessageKind, count: int) -> tuple[int, int, int, int, int]:
         return (
             int(kind),
             self.epoch,
-            self._link_state[LINK_SENT] & 0xFFFFFFFF,
-            self._link_state[LINK_DATA_DONE] & 0xFFFFFFFF,
+            self._counted.sent & 0xFFFFFFFF,
+            self._counted.data_done & 0xFFFFFFFF,
             count,
         )
 
@@ -216,11 +233,10 @@ class Link:
         return True
 
     def _count_sent(self, size: int, data: bool) -> None:
-        self._link_state[LINK_SENT] += 1
-        self._link_state[LINK_DATA_SENT] += data
-        self._link_state[LINK_DATA_TOLD] = self._link_state[LINK_DATA_DONE]
-        self._link_state[MESSAGES_SENT] += 1
-        self._link_state[BYTES_SENT] += size
+        self._counted.sent += 1
+        self._counted.data_sent += data
+        self._counted.data_told = self._counted.data_done
+        self._counted.bytes_sent += size
 
     # --- receiving -------------------------------------------------------------------------------
 
@@ -250,26 +266,26 @@ class Link:
         return None
 
     def _check_order(self, sequence: int, kind: MessageKind) -> None:
-        if sequence != self._link_state[LINK_RECEIVED] & 0xFFFFFFFF:
+        if sequence != self._counted.received & 0xFFFFFFFF:
             raise ProtocolError(
-                f"link {self.name}: message {sequence} ({kind.name}) came, wanted {self._link_state[LINK_RECEIVED]}: "
+                f"link {self.name}: message {sequence} ({kind.name}) came, wanted {self._counted.received}: "
                 "messages were lost, doubled or out of order"
             )
-        self._link_state[LINK_RECEIVED] += 1
+        self._counted.received += 1
 
     def _take_credit(self, credit: int) -> None:
-        gained = (credit - self._link_state[CREDIT]) & 0xFFFFFFFF
-        if gained > self._link_state[LINK_DATA_SENT] - self._link_state[CREDIT]:
+        gained = (credit - self._counted.credit) & 0xFFFFFFFF
+        if gained > self._counted.data_sent - self._counted.credit:
             raise ProtocolError(
-                f"link {self.name}: the peer says it has processed {credit} messages, {self._link_state[LINK_DATA_SENT]} were sent"
+                f"link {self.name}: the peer says it has processed {credit} messages, {self._counted.data_sent} were sent"
             )
         if gained:
-            self._link_state[CREDIT] += gained
+            self._counted.credit += gained
             self.push()
 
     def _is_for_link(self, kind: MessageKind, message: bytes) -> bool:
         """Deal with the link's own messages; False for all others."""
-        if kind in IS_DATA and self.state is not LinkPhase.NEW and not self._bye_heard:
+        if kind in IS_DATA and self.state is not LinkPhase.NEW and not self._bye_seen:
             return False
         self._check_turn(kind)
         if kind is MessageKind.HELLO:
@@ -277,7 +293,7 @@ class Link:
         elif kind is MessageKind.ACK:
             self._acknowledged = True
         elif kind is MessageKind.BYE:
-            self._bye_heard = True
+            self._bye_seen = True
             self._post(MessageKind.BYE_ACK, b"")
             self._maybe_closed()
         elif kind is MessageKind.BYE_ACK:
@@ -285,7 +301,7 @@ class Link:
             self._maybe_closed()
         elif kind is not MessageKind.CREDIT:
             return False
-        if self.state == LinkPhase.NEW and self._heard and self._acknowledged:
+        if self.state == LinkPhase.NEW and self._hello_seen and self._acknowledged:
             self.state = LinkPhase.UP
             self.push()
         return True
@@ -294,80 +310,77 @@ class Link:
         """Raise ProtocolError for a message that must not come in this state."""
         wrong = ""
         if kind is MessageKind.HELLO:
-            wrong = "a second time" if self._heard else ""
-        elif not self._heard:
+            wrong = "a second time" if self._hello_seen else ""
+        elif not self._hello_seen:
             wrong = "before HELLO"
         elif kind is MessageKind.ACK:
             wrong = "a second time" if self._acknowledged else ""
         elif kind is MessageKind.BYE_ACK:
             wrong = "" if self.state is LinkPhase.CLOSING and not self._bye_answered else "without a BYE to answer"
-        elif self._bye_heard:
+        elif self._bye_seen:
             wrong = "after BYE"
         elif kind in IS_DATA and not self._acknowledged:
             wrong = "before ACK"
         if wrong:
             raise ProtocolError(f"link {self.name}: {kind.name} came {wrong}")
 
-    def _meet(self, order: dict[str, Any]) -> None:
+    def _meet(self, order: Mapping[str, object]) -> None:
         if order != self._peer:
             came = _shown(order, self._peer["machine"])
             raise ProtocolError(
                 f"link {self.name}: HELLO came as {came}, wanted {_shown(self._peer, self._peer['machine'])}"
             )
-        self._heard = True
+        self._hello_seen = True
         self._post(MessageKind.ACK, b"")
 
     def _maybe_closed(self) -> None:
-        if self._bye_heard and self._bye_answered and not self.urgent:
+        if self._bye_seen and self._bye_answered and not self.urgent:
             self.state = LinkPhase.CLOSED
 
-    def share_state(self, row: NDArray[np.int64]) -> None:
-        """Keep the book in this row, int64 (BOOK,), from now on."""
-        row[:] = self._link_state
-        self._link_state = row.data
+    def share_state(self, rows: Rows, row: int) -> LinkState:
+        """Count in this record, shared with compiled code, from now on; what Python sees of it."""
+        shared = LinkState.view(rows, row)
+        shared.take(self._counted)
+        self._counted = shared
+        return shared
 
     @property
     def regular(self) -> bool:
         """Whether packets may come and go, and nothing waits to be sent: then compiled code may serve the link."""
-        return self.state is LinkPhase.UP and not (self._bye_heard or self.queued or self.urgent)
+        return self.state is LinkPhase.UP and not (self._bye_seen or self.queued or self.urgent)
 
     @property
     def messages_sent(self) -> int:
-        """Messages that were sent so far."""
-        return self._link_state[MESSAGES_SENT]
+        """Messages that were sent so far, and so the sequence number of the next one."""
+        return self._counted.sent
 
     @property
     def bytes_sent(self) -> int:
         """Bytes that were sent so far."""
-        return self._link_state[BYTES_SENT]
+        return self._counted.bytes_sent
 
     @property
     def data_sent(self) -> int:
         """Messages with packets or surfaces that were sent so far."""
-        return self._link_state[LINK_DATA_SENT]
+        return self._counted.data_sent
 
     @property
     def data_done(self) -> int:
         """Messages with packets or surfaces from the peer that were processed so far."""
-        return self._link_state[LINK_DATA_DONE]
-
-    @property
-    def sent(self) -> int:
-        """Messages that were sent so far, and so the sequence number of the next one."""
-        return self._link_state[LINK_SENT]
+        return self._counted.data_done
 
     @property
     def received(self) -> int:
         """Messages that came so far."""
-        return self._link_state[LINK_RECEIVED]
+        return self._counted.received
 
     @property
     def peer_left(self) -> bool:
         """Whether the peer has said BYE."""
-        return self._bye_heard
+        return self._bye_seen
 
 
-def _shown(hello: dict[str, Any], machine: str) -> str:
+def _shown(hello: Mapping[str, object], machine: object) -> str:
     """A HELLO for an error, which many may read: by its machine's name a stranger could pass for a neighbour."""
     rest = {key: value for key, value in hello.items() if key != "machine"}
     return f"{rest} of {'this' if hello.get('machine') == machine else 'another'} machine"

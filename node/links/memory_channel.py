@@ -1,4 +1,4 @@
-"""Channels inside one process: what a PAIR socket does, by two queues. For the in-memory array and the tests."""
+"""Carries messages inside one process: what a PAIR socket does, by two queues. For the in-memory array and the tests."""
 
 from __future__ import annotations
 

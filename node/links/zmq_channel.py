@@ -1,4 +1,4 @@
-"""ZeroMQ PAIR sockets as channels. What their settings rest on is in docs/design.md (links).
+"""Carries messages over ZeroMQ PAIR sockets. What their settings rest on is in docs/design.md (links).
 
 An endpoint is never used twice: names carry the epoch. Heartbeats stay off (they can abort the survivor of a
 dead peer); a message is one part, because endless multipart evades every limit; sends never block.

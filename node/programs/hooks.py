@@ -1,9 +1,9 @@
-"""Where a program comes into the ray step. This text is executed once for each program, with its functions in place.
+"""Puts a program into the ray step. This text is executed once for each program, with its functions in place.
 
-`node.programs.programs` runs the texts of `traverse`, `step`, `turn`, `rounds` and `misses` again, in namespaces in which the
-functions below stand for those of the same purpose, and compiles them: the step without a program is another function
-and knows nothing of it. The three functions under "the program's" are those of the program, or these if it has not got
-them.
+`node.programs.programs` runs the texts of `traverse`, `step`, `batch`, `event_loop` and `background` again, in namespaces in
+which the functions below stand for those of the same purpose, and compiles them: the step without a program is another
+function and knows nothing of it. The three functions under "the program's" are those of the program, or these if it has
+not got them.
 
 That every array gives the same bits does not depend on the program: where its surfaces are hit is asked without saying
 in which cell, a hit counts only inside the surface's own box, by which cells retain it, and what is no number, or

@@ -1,4 +1,4 @@
-"""Programs: code that is loaded into the nodes, and becomes part of their ray step. `docs/programs.md` is for users.
+"""Compiles programs: code that is loaded into the nodes, and becomes part of their ray step. `docs/programs.md` is for users.
 
 A program is the text of a module with some of these functions, and whatever they call:
 
@@ -25,7 +25,7 @@ import hashlib
 import os
 import secrets
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -63,10 +63,10 @@ class Program(NamedTuple):
 
 
 class Compiled(NamedTuple):
-    """A program in the ray step: functions that take the place of `rounds.go` and `misses.add_missed`."""
+    """A program in the ray step: functions that take the place of `event_loop.run_loop` and `background.add_missed`."""
 
     program: Program
-    go: Callable[..., Any]
+    run_loop: Callable[..., Any]
     add_missed: Callable[..., Any]
 
 
@@ -112,14 +112,14 @@ def make_program(name: str, source: str) -> Program:
     return Program(name, source, hooks, digest_of(source))
 
 
-def program_order(program: Program | None) -> dict[str, Any]:
+def program_order(program: Program | None) -> dict[str, str]:
     """The order that lets every node make a program ready; of None, the step without one."""
     if program is None:
         return {"do": "program", "name": "", "source": "", "digest": ""}
     return {"do": "program", "name": program.name, "source": program.source, "digest": program.digest}
 
 
-def read_program(order: dict[str, Any]) -> Program | None:
+def read_program(order: Mapping[str, object]) -> Program | None:
     """The program of an order. Raises ProtocolError for a wrong digest or form."""
     name, source, digest = order.get("name"), order.get("source"), order.get("digest")
     if not (isinstance(name, str) and isinstance(source, str) and isinstance(digest, str) and len(name) <= 200):
@@ -210,10 +210,10 @@ def _linked(program: Program, file: Path) -> Compiled:
     step = _again(
         program, "tracing.step", taken | {name: traverse[name] for name in ("closest_below", "blocked_below")}
     )
-    misses = _again(program, "tracing.background", {"edge_colour": into["edge_colour"]})
-    turn = _again(program, "tracing.batch", {"step": step["step"]})
-    rounds = _again(program, "runtime.event_loop", {"run_batch": turn["run_batch"]})
-    return Compiled(program, rounds["run_loop"], misses["add_missed"])
+    background = _again(program, "tracing.background", {"edge_colour": into["edge_colour"]})
+    batch = _again(program, "tracing.batch", {"step": step["step"]})
+    event_loop = _again(program, "runtime.event_loop", {"run_batch": batch["run_batch"]})
+    return Compiled(program, event_loop["run_loop"], background["add_missed"])
 
 
 def _again(program: Program, name: str, instead: dict[str, Any]) -> dict[str, Any]:
@@ -265,7 +265,7 @@ def try_functions(program: Program) -> None:
         raise ProtocolError(f"the program {program.name} raises in {name}: {type(error).__name__}: {error}") from None
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> bool:
     return isinstance(value, int | float | np.floating | np.integer) and not (
         isinstance(value, int) and abs(value) > 2**53
     )

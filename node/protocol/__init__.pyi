@@ -1,6 +1,9 @@
 from .codec import MapLimits as MapLimits
 from .codec import read_map as read_map
 from .commands import MAX_SIDE as MAX_SIDE
+from .commands import CommandMap as CommandMap
+from .commands import CommandName as CommandName
+from .commands import TraceCommand as TraceCommand
 from .commands import frame_order as frame_order
 from .commands import space_order as space_order
 from .counters import BORN as BORN
@@ -26,6 +29,8 @@ from .frame_tables import TRANSMISSION as TRANSMISSION
 from .frame_tables import Frame as Frame
 from .frame_tables import light_table as light_table
 from .frame_tables import material_table as material_table
+from .framing import Splitter as Splitter
+from .framing import framed as framed
 from .messages import HEAD as HEAD
 from .messages import MessageKind as MessageKind
 from .messages import check_packets as check_packets
@@ -52,6 +57,7 @@ from .packets import read_u24 as read_u24
 from .packets import read_u32 as read_u32
 from .packets import unit_vector as unit_vector
 from .packets import unpack_weight as unpack_weight
+from .reset import NodeConfig as NodeConfig
 from .timestamps import NEVER_TICK as NEVER_TICK
 from .timestamps import Prices as Prices
 from .timestamps import prices_order as prices_order

@@ -1,7 +1,10 @@
-"""Maps that travel as msgpack: orders on links, words on lines, messages of clients. What comes in is not trusted (law 11)."""
+"""Packs and reads maps that travel as msgpack: orders on links, messages on control channels and of clients. What comes in
+is not trusted (law 11).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import msgpack
@@ -29,7 +32,7 @@ class MapLimits(NamedTuple):
 LIMITS = MapLimits()
 
 
-def pack_map(value: dict[str, Any]) -> bytes:
+def pack_map(value: Mapping[str, object]) -> bytes:
     """A map as bytes."""
     packed: bytes = msgpack.packb(value, use_bin_type=True)
     return packed
@@ -59,7 +62,7 @@ def read_map(data: bytes | bytearray | memoryview, what: str, limits: MapLimits 
     return value
 
 
-def _check_tree(value: dict[str, Any] | list[Any], deeper: int, limits: MapLimits, what: str) -> None:
+def _check_tree(value: dict[str, object] | list[object], deeper: int, limits: MapLimits, what: str) -> None:
     """Raise ProtocolError for keys that are no strings, and for lists and maps nested too deep to be handed on."""
     if deeper == 0:
         raise ProtocolError(f"{what} came with lists and maps deeper than {limits.deepest}")

@@ -1,4 +1,4 @@
-"""What travels on a link: a 20-byte header, then 25-byte packets, surface descriptions, or an order.
+"""Packs and reads what travels on a link: a 20-byte header, then 25-byte packets, surface descriptions, or an order.
 
     header   kind u8, zero u8, epoch u16, sequence u32, credit u32, count u32, checksum u32      (little-endian)
 
@@ -17,6 +17,7 @@ in is trusted: lengths, types and finiteness are checked here before anything is
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from enum import IntEnum
 from typing import Any, NamedTuple
 
@@ -35,7 +36,13 @@ MAX_MESSAGE = (
 WINDOW = 32  # PACKETS and SURFACES messages under way on one direction of a link
 HEAD = 20  # bytes of a header, kept free at the head of every output
 HEADER = struct.Struct("<BBHIIII")
-SUMMED = 16  # bytes of the header before the checksum
+EPOCH_AT, SEQUENCE_AT, CREDIT_AT, COUNT_AT, SUMMED = (
+    2,
+    4,
+    8,
+    12,
+    16,
+)  # where fields begin; the checksum sums what is before it
 CHECKSUM_FIELD = struct.Struct("<I")
 SURFACE_HEADER = struct.Struct("<BBHII")  # corner, kind, zero, surfaces, points of polygons
 assert HEADER.size == HEAD == SUMMED + CHECKSUM_FIELD.size
@@ -48,15 +55,15 @@ class MessageKind(IntEnum):
     ACK = 2  # I have seen your HELLO
     PACKETS = 3
     SURFACES = 4
-    DOWN = 5  # a wave on its way from the root: an order
+    DOWN = 5  # a wave on its way from the root: a command
     UP = 6  # its answer
     CREDIT = 7  # nothing but the header
     BYE = 8  # nothing more will come
     BYE_ACK = 9
     STAMPED = 10  # packets with their ticks of machine time (`node.protocol.timestamps`)
     LOOKAHEAD = 11  # a look-ahead request of a node in machine time, or its answer
-    TALLY = 12  # a wave of a trace on its way from the root (`node.runtime.reduction`)
-    TALLIED = 13  # its answer
+    REDUCE = 12  # a wave of a trace on its way from the root (`node.runtime.reduction`)
+    REDUCED = 13  # its reply
 
 
 _KINDS = {int(kind): kind for kind in MessageKind}
@@ -114,7 +121,7 @@ def check_packets(message: bytes, count: int) -> None:
         )
 
 
-def pack_order(order: dict[str, Any]) -> bytes:
+def pack_order(order: Mapping[str, object]) -> bytes:
     """An order (or answer) as bytes. Raises ProtocolError if it is too long for a message."""
     return _short_enough(pack_map(order), "an order")
 

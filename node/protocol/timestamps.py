@@ -13,6 +13,7 @@ Both wait for credit like all data, so that none overtakes another.
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
@@ -118,7 +119,7 @@ def prices_order(prices: Prices, tests: Long) -> dict[str, Any]:
     }
 
 
-def read_prices(order: dict[str, Any]) -> tuple[Prices, Long] | None:
+def read_prices(order: Mapping[str, object]) -> tuple[Prices, Long] | None:
     """(prices, ticks of a list's tests) of the command of a frame; None if it is not timed. Raises ProtocolError."""
     if "prices" not in order:
         return None
@@ -135,7 +136,7 @@ def read_prices(order: dict[str, Any]) -> tuple[Prices, Long] | None:
     return Prices(counts, costs[0], costs[1], costs[2], costs[3]), np.array(tests, np.int64)
 
 
-def _numbers(value: Any, count: int) -> TypeGuard[list[int]]:
+def _numbers(value: object, count: int) -> TypeGuard[list[int]]:
     return (
         isinstance(value, list) and len(value) == count and all(type(x) is int and 0 <= x <= MOST_TICKS for x in value)
     )

@@ -18,5 +18,5 @@ from .reduction import SUM_RECEIVED as SUM_RECEIVED
 from .reduction import SUM_WAITING as SUM_WAITING
 from .reduction import pack_request as pack_request
 from .reduction import read_reply as read_reply
-from .report import read_sums as read_sums
 from .self_test import ready_program as ready_program
+from .waves import read_sums as read_sums

@@ -1,4 +1,4 @@
-"""Increments: from one frame to the next a node moves what it holds, drops what has left, and hands on what arrives.
+"""Applies increments: from one frame to the next a node moves what it holds, drops what has left, and hands on what arrives.
 
 The order `move` tells every node which groups of surfaces have moved. Every node that holds such a surface knows where
 it was and where it is, and so which cells held it and which must hold it now. Then, at the order `hand` (only when all
@@ -19,8 +19,8 @@ matter. Trees in dimension order have no cycle of links that wait for each other
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,7 +52,7 @@ class IncrementStep(NamedTuple):
     now: Batch
     boxes: F64
 
-    def select(self, rows: NDArray[Any]) -> IncrementStep:
+    def select(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> IncrementStep:
         """The chosen rows."""
         return IncrementStep(self.rest.select(rows), self.before.select(rows), self.now.select(rows), self.boxes[rows])
 
@@ -65,22 +65,23 @@ class Increments:
     """
 
     def __init__(self) -> None:
-        self.moves: Moves | None = None
         self.pending: deque[Path] = deque()
-        self._before: Moves | None = None
-        self._waiting: list[Path] = []
-        self._branches: dict[Index, list[tuple[Branch, Cell]]] = {}
+        self.forget()
 
     def forget(self) -> None:
         """A new world."""
-        self.__init__()  # type: ignore[misc]
+        self.pending.clear()
+        self.moves: Moves | None = None
+        self._before: Moves | None = None
+        self._waiting: list[Path] = []
+        self._branches: dict[Index, list[tuple[Branch, Cell]]] = {}
 
     def give_up(self) -> None:
         """Drop what was to be handed on."""
         self.pending.clear()
         self._waiting = []
 
-    def set_groups(self, order: dict[str, Any]) -> None:
+    def set_groups(self, order: Mapping[str, object]) -> None:
         """Take the groups of a new world. Raises ProtocolError."""
         self.moves = read_groups(order)
 
@@ -88,7 +89,9 @@ class Increments:
         """Descriptions at rest where they are now; the batch itself if none moves."""
         return placed(batch, self.moves)
 
-    def move(self, order: dict[str, Any], space: Space, cell: Cell, retained: list[Batch]) -> tuple[list[Batch], bool]:
+    def move(
+        self, order: Mapping[str, object], space: Space, cell: Cell, retained: list[Batch]
+    ) -> tuple[list[Batch], bool]:
         """(what the node still holds of `retained`, at rest; whether any surface in it has moved or left).
 
         What others need of it waits for `hand`. Raises ProtocolError, with nothing changed, for an order that is

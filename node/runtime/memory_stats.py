@@ -1,4 +1,4 @@
-"""What the kernel says of this process' memory."""
+"""Reads what the kernel of the operating system says of this process' memory."""
 
 from __future__ import annotations
 

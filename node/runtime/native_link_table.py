@@ -1,4 +1,4 @@
-"""The links that compiled code serves (`node.runtime.event_loop`), as Python sees them."""
+"""Lends the links that compiled code serves (`node.runtime.event_loop`) to it, and takes back what it leaves to Python."""
 
 from __future__ import annotations
 
@@ -7,67 +7,69 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from raygrid.node.links import zmq_c_api
-from raygrid.node.links.link import REGULAR, SOCKET, Link
+from raygrid.node.links.link import Link, LinkState
 from raygrid.node.links.zmq_channel import ZmqChannel
 from raygrid.node.runtime.event_loop import PYTHON_RECEIVES
-from raygrid.node.runtime.native_links import TIMED, no_native_links
-from raygrid.node.runtime.reduction import CHILD_PORTS, COMPILED_SERVES, PARENT_PORT, PYTHON_BUSY, Reduction
+from raygrid.node.runtime.native_links import no_native_links
+from raygrid.node.runtime.reduction import Reduction, ReductionState
 
 
 class NativeLinkTable:
     """Links over PAIR sockets of this process.
 
-    wires   their tables, for `rounds.go`
+    native  their tables, for the event loop
     """
 
     def __init__(
         self,
         links: Mapping[int, Link],
         pairs: Mapping[int, ZmqChannel],
-        reduction_state: Reduction,
+        reduction: Reduction,
         others: Iterable[int] = (),
         timed: bool = False,
     ) -> None:
-        """Take over the books of the links whose channels are these pairs.
+        """Share the state of the links whose channels are these pairs.
 
-        tally  of the node; others  descriptors for which a node waits as well; timed  let the rounds be timed
+        reduction  of the node; others  descriptors for which a node waits as well; timed  let the event loop count its time
         """
-        self.native = no_native_links(reduction_state)
+        self.native = no_native_links(reduction)
+        self._reduction = ReductionState.view(reduction.state)
         self._links: dict[int, Link] = {}
+        self._states: dict[int, LinkState] = {}
         self._pairs = pairs
         self._message: zmq_c_api.ReceivedMessage | None = None
-        calls = zmq_c_api.find_functions()
-        if calls is None:
+        found = zmq_c_api.find_functions()
+        if found is None:
             return
-        self.native.calls[:] = calls
-        self.native.spent[TIMED] = timed
-        self._message = zmq_c_api.ReceivedMessage(self.native.calls)
+        functions = zmq_c_api.CFunctions.view(self.native.functions)
+        functions.take(found)
+        self._message = zmq_c_api.ReceivedMessage(functions)
         for port, link in links.items():
             if link.channel is pairs.get(port):
-                link.share_state(self.native.link_states[port])
-                self.native.link_states[port, SOCKET] = pairs[port].socket.underlying
+                self._states[port] = link.share_state(self.native.links, port)
+                self._states[port].socket = int(pairs[port].socket.underlying)
                 self._links[port] = link
         items = zmq_c_api.poll_items([int(pair.socket.underlying) for pair in pairs.values()], others)
         ports = [port if port in self._links else -1 for port in pairs]
         self.native = self.native._replace(
-            items=items, ports=np.array(ports + [-1] * (len(items) - len(ports)), np.int64)
+            items=items, ports=np.array(ports + [-1] * (len(items) - len(ports)), np.int64), timed=int(timed)
         )
 
-    def begin(self, reductions: bool, occupied: bool) -> None:
-        """Before rounds: mark the links that are regular, and whether compiled code may take care of tallies.
+    def begin(self, reductions: bool, busy: bool) -> None:
+        """Before the event loop: mark the links that are regular, and whether compiled code may take care of reductions.
 
-        tallies   whether Python leaves them to it, if their links are regular; occupied  as in `Reduction`
+        reductions  whether Python leaves them to it, if their links are regular; busy  `ReductionState.python_busy`
         """
         regular = 0
         for port, link in self._links.items():
-            self.native.link_states[port, REGULAR] = link.regular
+            self._states[port].regular = link.regular
             regular |= link.regular << port
-        state = self.native.reduction_state.state
-        wanted = int(state[CHILD_PORTS]) | 1 << int(state[PARENT_PORT])
-        state[COMPILED_SERVES], state[PYTHON_BUSY] = reductions and regular & wanted == wanted, occupied
+        state = self._reduction
+        wanted = state.child_ports | 1 << state.parent_port
+        state.compiled_serves, state.python_busy = reductions and regular & wanted == wanted, busy
 
     def end(self, why: int) -> int | None:
-        """After rounds that ended for this reason: the port of a link of which Python must receive, if there is one."""
+        """After an event loop that ended for this reason: the port of a link of which Python must receive, if there is one."""
         for link in self._links.values():
             link.grant(0)  # credit that could not be told
         if why < PYTHON_RECEIVES:
@@ -82,8 +84,8 @@ class NativeLinkTable:
         """Whether compiled code serves any link."""
         return bool(self._links)
 
-    def keeps(self, port: int) -> bool:
-        """Whether the book of a link is one of the tables."""
+    def shares(self, port: int) -> bool:
+        """Whether compiled code counts in the state of a link."""
         return port in self._links
 
     def serves(self, port: int) -> bool:
@@ -94,7 +96,8 @@ class NativeLinkTable:
     def close(self) -> None:
         """Serve no link any more."""
         self._links = {}
-        self.native.link_states[:, REGULAR] = 0
+        for state in self._states.values():
+            state.regular = 0
         if self._message is not None:
             self._message.close()
             self._message = None

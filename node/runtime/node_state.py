@@ -1,8 +1,8 @@
-"""The work of one node: its surfaces, its pixels, its backlog, and the ray step over them. No links here."""
+"""Holds the state of one node - surfaces, pixels, work queues - and runs the event loop over it. No links here."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -12,26 +12,18 @@ from raygrid.node.geometry.bvh_refit import WORSE, expected_cost
 from raygrid.node.geometry.grid_walk import HOST, OUTPUTS, SELF_RAYS
 from raygrid.node.geometry.lattice import Cell, Space, make_cell
 from raygrid.node.geometry.overlap import meets
+from raygrid.node.geometry.spanning_tree import towards_corner
 from raygrid.node.geometry.surfaces import AddedKind, Batch, SurfaceSet, merge
 from raygrid.node.programs.programs import Compiled
-from raygrid.node.protocol.counters import BORN, COUNTS, DIED, SENT
+from raygrid.node.protocol.commands import USUAL_FLUSH
+from raygrid.node.protocol.counters import COUNTS, DIED, SENT
 from raygrid.node.protocol.frame_tables import Frame, frame_limits
 from raygrid.node.protocol.messages import HEAD
 from raygrid.node.protocol.packets import PIXEL, SIZE, PacketLimits
-from raygrid.node.runtime.event_loop import (
-    LOOP_PACKETS,
-    TUNE_AFTER,
-    TUNE_AT_ONCE,
-    TUNE_BATCH,
-    TUNE_BELOW,
-    TUNE_FLUSH,
-    TUNE_RETURN,
-    TUNE_WAIT,
-    TUNING,
-    run_loop,
-)
+from raygrid.node.runtime.event_loop import LOOP_PACKETS, run_loop
 from raygrid.node.runtime.increments import Increments
 from raygrid.node.runtime.native_links import no_native_links
+from raygrid.node.runtime.node_tables import NodeTables, Tuning
 from raygrid.node.tracing.batch import ADMIT_AT_ONCE, ADMIT_BELOW, BATCH_CROWDED, BATCH_IDLE, BATCH_RAYS, PORTION
 from raygrid.node.tracing.framebuffer import Pixels, make_pixels, send_pixels
 from raygrid.node.tracing.local_geometry import build_surfaces, empty_surfaces, refit_surfaces
@@ -39,18 +31,17 @@ from raygrid.node.tracing.output_queues import clear, make_outputs
 from raygrid.node.tracing.primaries import DONE, new_cursor
 from raygrid.node.tracing.work_queues import WorkQueues
 
-CHUNK = 8192  # pixel packets sent in a turn
-USUAL_FLUSH = 256  # packets for which an output is sent although there is work, unless the root says otherwise
+CHUNK = 8192  # pixel packets sent at once
 OUTPUT_ROOM = 16384  # packets that an output holds
 
 
 class NodeState:
     """State of one node between two messages.
 
-    counts     int64, see `node.geometry.surface_tables`: what the machine did for this frame
-    pace       int64 (PACE,), how eagerly it sends and takes turns (`rounds.go`)
-    quota      primaries that this node may still bear before it hears from the root again
-    samples_left  whether primaries of this node are still to be born
+    counts     int64 (COUNTS,), `node.protocol.counters`: what the machine did for this frame
+    tuning     how eagerly it sends and traces
+    quota      primaries that this node may still spawn before it hears from the root again
+    samples_left  whether primaries of this node are still to be spawned
     retained      descriptions of surfaces, of moving ones as they are at rest
     increments    where the moving ones are
     """
@@ -65,21 +56,19 @@ class NodeState:
         self.increments = Increments()
         self.program: Compiled | None = None
         self.ready: Compiled | None = None  # a program that is to be used next
-        self._go = run_loop
+        self.run_loop = run_loop
         self.native = no_native_links()
-        self.tuning = np.zeros(TUNING, np.int64)
-        self.tuning[TUNE_AFTER], self.tuning[TUNE_BELOW], self.tuning[TUNE_AT_ONCE] = (
-            BATCH_RAYS,
-            ADMIT_BELOW,
-            ADMIT_AT_ONCE,
-        )
-        self.tuning[TUNE_FLUSH] = self.tuning[TUNE_BATCH] = USUAL_FLUSH
-        self.tuning[TUNE_RETURN] = LOOP_PACKETS
+        self._tuning = Tuning.rows()
+        self.tuning = Tuning.view(self._tuning)
+        self.tuning.batch_packets, self.tuning.loop_packets = BATCH_RAYS, LOOP_PACKETS
+        self.tuning.admit_below, self.tuning.admit_at_once = ADMIT_BELOW, ADMIT_AT_ONCE
+        self.tuning.flush = self.tuning.message_packets = USUAL_FLUSH
+        self.halted = False  # whether what still comes is dropped, until the next space or frame
         self._stale = False  # whether what is retained has changed since the tables were made
         self._built_cost = 0.0  # expected cost of the hierarchy when it was built, 0: not worked out
         self.surfaces = empty_surfaces()
         self.work_queues = WorkQueues()
-        self._crowded = False  # whether a stack had no room in the last turn
+        self._crowded = False  # whether a stack had no room in the last batch
         self.outputs = make_outputs(OUTPUT_ROOM, DEPTH)
         self.counts = np.zeros(COUNTS, np.int64)
         self.cursor = new_cursor(False)
@@ -109,7 +98,7 @@ class NodeState:
             self._stale = True
         return len(own)
 
-    def move(self, order: dict[str, Any]) -> None:
+    def move(self, order: Mapping[str, object]) -> None:
         """Move what is retained, drop what has left (`node.runtime.increments`). Raises ProtocolError."""
         assert self.space is not None and self.cell is not None
         self.retained, touched = self.increments.move(order, self.space, self.cell, self.retained)
@@ -141,7 +130,7 @@ class NodeState:
     def use_ready(self) -> None:
         """Let the program that is ready take the place of the one before; none: the step without a program."""
         self.program = self.ready
-        self._go = run_loop if self.program is None else self.program.go
+        self.run_loop = run_loop if self.program is None else self.program.run_loop
 
     def check_known(self, batch: Batch) -> None:
         """Raise ProtocolError for programmed surfaces where no program says what they are."""
@@ -191,44 +180,36 @@ class NodeState:
         return self.work_queues.held > 0 or (self.quota > 0 and self.samples_left) or self.collecting >= 0
 
     def work(self, wait: bool = False) -> int:
-        """Go rounds over the links and the most urgent packets (`node.runtime.event_loop`), and send pixels if none wait.
+        """Run the event loop over the links and the most urgent packets, and send pixels if no packet waits.
 
         wait   whether it may wait for messages where nothing is left to do
-        Returns why the rounds ended.
+        Returns why the loop ended (`node.runtime.event_loop`).
         """
         if self.frame is None:
             return BATCH_IDLE
-        work_queues = self.work_queues
         if self._crowded:
             births = PORTION * max(self.frame.n_lights, 2)
-            work_queues.make_room(0, births, max(births, ADMIT_AT_ONCE))
-        self.tuning[TUNE_WAIT] = wait
-        self.quota, why = self._go(
-            self.cell,
-            self.space,
-            self.frame,
-            self.surfaces,
-            self.pixels,
-            self.cursor,
-            self.quota,
-            self.tuning,
-            work_queues.bounds,
-            work_queues.stacks,
-            work_queues.count,
-            self.outputs,
-            self.counts,
-            self.native,
-        )
+            self.work_queues.make_room(0, births, max(births, ADMIT_AT_ONCE))
+        self.tuning.may_wait = wait
+        self.quota, why = self.run_loop(self._tables(), self.quota)
         self._crowded = why == BATCH_CROWDED
         self.samples_left = self.samples_left and int(self.cursor[DONE]) == 0
-        if self.collecting >= 0 and work_queues.held == 0:
+        if self.collecting >= 0 and self.work_queues.held == 0:
             self._send_pixels()
         return int(why)
+
+    def _tables(self) -> NodeTables:
+        assert self.cell is not None and self.space is not None and self.frame is not None and self.pixels is not None
+        queues = self.work_queues
+        return NodeTables(
+            self.cell, self.space, self.frame, self.surfaces, self.pixels, self.cursor, self._tuning,
+            queues.bounds, queues.stacks, queues.count, self.outputs, self.counts, self.native,
+        )  # fmt: skip
 
     def _send_pixels(self) -> None:
         """Fill the output towards the nearest corner with pixel packets."""
         assert self.frame is not None and self.cell is not None
-        output = corner_output(self.index, self.shape)
+        output = towards_corner(self.index, self.shape)
         held = int(self.outputs.held[output])
         room = (self.outputs.data.shape[1] - HEAD) // SIZE - held
         made, cursor = send_pixels(
@@ -259,22 +240,6 @@ class NodeState:
             "backlog": self.work_queues.size,
             "outputs": self.outputs.data.nbytes,
         }
-
-    @property
-    def primaries_born(self) -> int:
-        """How many samples this home has admitted."""
-        return int(self.counts[BORN + 1])
-
-
-def corner_output(index: tuple[int, int, int], shape: tuple[int, int, int]) -> int:
-    """The output on the way to the nearest corner (lower one on a tie), HOST at the corner."""
-    for axis in range(3):
-        near_low = 2 * index[axis] <= shape[axis] - 1
-        if near_low and index[axis] > 0:
-            return 2 * axis
-        if not near_low and index[axis] < shape[axis] - 1:
-            return 2 * axis + 1
-    return HOST
 
 
 assert OUTPUTS == SELF_RAYS + 1

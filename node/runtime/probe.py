@@ -1,6 +1,6 @@
-"""Diagnostic probes: a node tells on its line how it stands, so many times a second as the host has asked for (law 9).
+"""Sends diagnostic probes: how a node stands, so many times a second as the host has asked for (law 9).
 
-A sample only reads. It goes up the line if there is room, and is dropped and counted if nobody reads. It is a map:
+A sample only reads. It goes up the control channel if there is room, and is dropped and counted if nobody reads. It is a map:
 
     is        "sample"
     epoch     of the node
@@ -16,14 +16,14 @@ A sample only reads. It goes up the line if there is room, and is dropped and co
     surfaces  held
     memory    bytes by use, as in the record of a node, and pss (of the process), at most MEMORY_SECONDS old
     cpu       seconds of processor time since the process began
-    dropped   words that this node could not say on its line
+    dropped   messages that this node could not send on its control channel
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -44,15 +44,15 @@ NEVER_DUE = float("inf")
 
 
 class ProbeWriter(Protocol):
-    """The node's end of its line."""
+    """The node's end of its control channel."""
 
     dropped: int
 
-    def send(self, words: dict[str, Any]) -> bool:
-        """Say something now, or not at all."""
+    def send(self, message: Mapping[str, object]) -> bool:
+        """Send a message now, or not at all."""
 
 
-def read_rate(order: dict[str, Any]) -> float:
+def read_rate(order: Mapping[str, object]) -> float:
     """Samples a second of an order {do: probe, rate}; 0: none. Raises ProtocolError."""
     rate = order.get("rate")
     if not isinstance(rate, int | float) or isinstance(rate, bool) or not 0.0 <= rate <= FASTEST:
@@ -61,13 +61,13 @@ def read_rate(order: dict[str, Any]) -> float:
 
 
 class NodeProbe:
-    """When a node is to speak, and what it says.
+    """When a node is to send a sample, and what it says.
 
     due   moment of the next sample by `clock`; infinite while nobody wants any
     """
 
-    def __init__(self, line: ProbeWriter, clock: Callable[[], float] = time.monotonic) -> None:
-        self._line, self._clock = line, clock
+    def __init__(self, control: ProbeWriter, clock: Callable[[], float] = time.monotonic) -> None:
+        self._control, self._clock = control, clock
         self._period = 0.0
         self._number = 0
         self._memory: dict[str, int] = {}
@@ -91,15 +91,15 @@ class NodeProbe:
         left = max(0.0, self.due - self._clock())
         return left if limit is None else min(limit, left)
 
-    def maybe_speak(self, processor: Processor, epoch: int) -> None:
-        """Say a sample if one is due. A node that was busy for longer than a period does not make up for it."""
+    def maybe_send(self, processor: Processor, epoch: int) -> None:
+        """Send a sample if one is due. A node that was busy for longer than a period does not make up for it."""
         now = self._clock()
         if now < self.due:
             return
         self.due = max(self.due + self._period, now)
         if now >= self._measured + MEMORY_SECONDS or not self._memory:
             self._memory, self._measured = memory(processor), now
-        self._line.send(sample(processor, epoch, self._number, now, self._line.dropped, self._memory))
+        self._control.send(sample(processor, epoch, self._number, now, self._control.dropped, self._memory))
         self._number += 1
 
 
@@ -110,7 +110,7 @@ def memory(processor: Processor) -> dict[str, int]:
 
 def sample(
     processor: Processor, epoch: int, number: int, now: float, dropped: int, used: dict[str, int]
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """How a node stands. used: as of `memory`, which takes longer than all the rest."""
     node_state = processor.node_state
     return {

@@ -1,3 +1,3 @@
-"""Names of the parts of `node.runtime.profile`, without what it imports."""
+"""Names the parts of `node.runtime.profile`, without what that imports."""
 
 PARTS = ("receive", "birth", "decode", "walk", "hit", "shade", "send", "other", "wait")

@@ -1,236 +1,228 @@
-"""Tallies: the waves of a trace, in a form of which compiled code can take care (`node.runtime.event_loop`).
+"""Defines reductions: the waves of a trace as rows of numbers, of which Python and compiled code take care by the same rules.
 
-A tally goes down the tree of a wave as a row of int64, and its answer comes back as another:
+A request goes down the tree of a wave as a row of int64, and its reply comes back as another:
 
-    TALLY    number of the wave, quota, hold (nanoseconds), gather, nap (microseconds), flush
-    TALLIED  number of the wave, sums
+    REDUCE   the fields of `TraceRequest`
+    REDUCED  number of the wave, then the sums
 
-How a tally stands in a node is kept in arrays that Python and compiled code both read and write, so that each can go on
-with what the other has begun (`node.runtime.reduction_replies` is what Python does).
+How a reduction stands in a node is kept in records that Python and compiled code both read and write, so that each can go
+on with what the other has begun. The rules are functions that both call: compiled code calls those that end with `_part`.
 """
-
-# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
-# kernels: numba infers their types
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.node.errors import ProtocolError
 from raygrid.node.jit.decorators import part
+from raygrid.node.jit.records import Record, Rows, record
+from raygrid.node.protocol.commands import MOST_HOLD, TraceCommand
 from raygrid.node.protocol.counters import COUNTS
 from raygrid.node.protocol.messages import HEAD
-from raygrid.node.protocol.packets import read_u64
-from raygrid.node.tracing.primaries import DONE
+from raygrid.node.protocol.packets import read_u64, write
 
-# sums of a wave: the counts of node.tables, then these
+# sums of a wave: the counts of a ray step (`node.protocol.counters`), then these
 HOMES_LEFT, SUM_WAITING, SUM_RECEIVED, HANDED_ON, COLLECTING, REFUSED, ALLOWED, SUM_DATA_SENT, SUM_DATA_DONE = range(
     COUNTS, COUNTS + 9
 )
 SUMS = COUNTS + 9
 
-# fields of a TALLY
-WAVE, QUOTA, HOLD, BATCH_THRESHOLD, BACK_OFF, FLUSH_PACKETS = range(6)
-REQUEST_FIELDS = 6
-FIELD_BYTES = 8  # bytes of a field
+NANO, MICRO = 1_000_000_000, 1_000_000  # in a second
+MOST_QUOTA, MOST_BACK_OFF, MOST_PACKETS = 2**32 - 1, MICRO, 2**31
+LONGEST_HOLD = int(MOST_HOLD) * NANO
+
+Long = NDArray[np.int64]
+
+
+@record
+class TraceRequest(Record):
+    """What a node is asked to do in a trace (`node.protocol.commands.TraceCommand`).
+
+    hold  nanoseconds; back_off  microseconds
+    """
+
+    wave: int
+    quota: int
+    hold: int
+    batch_threshold: int
+    back_off: int
+    flush: int
+
+
+@record
+class ReductionState(Record):
+    """How a reduction stands in a node.
+
+    pending          whether one is under way here
+    wave             its number
+    deadline         when it is answered although the node is busy, in nanoseconds of the monotonic clock
+    replied          a bit a port: children that have replied; to_notify: children that are still to be told
+    fresh            whether what it asks is still to be done
+    compiled_serves  whether compiled code may take care of it now
+    python_busy      whether the node has something to do of which compiled code knows nothing
+    parent_port      port; child_ports: a bit a port
+    """
+
+    pending: int
+    wave: int
+    deadline: int
+    replied: int
+    to_notify: int
+    fresh: int
+    compiled_serves: int
+    python_busy: int
+    parent_port: int
+    child_ports: int
+
+
+FIELD_BYTES = 8
+REQUEST_FIELDS = len(TraceRequest._fields_)
 REQUEST_BYTES, REPLY_BYTES = REQUEST_FIELDS * FIELD_BYTES, (1 + SUMS) * FIELD_BYTES
-
-# places in Reduction.state
-PENDING = 0  # whether one is under way here
-CURRENT = 1  # its number
-DEADLINE = 2  # when it is answered although the node is busy, in nanoseconds of the monotonic clock
-REPLIED, TO_NOTIFY = 3, 4  # a bit a port: children that have answered, children that are still to be told
-FRESH = 5  # whether what it orders is still to be done
-COMPILED_SERVES = 6  # whether compiled code may take care of it now
-PYTHON_BUSY = 7  # whether the node has something to do of which compiled code knows nothing
-PARENT_PORT, CHILD_PORTS = 8, 9  # port; a bit a port
-STATE = 10
-
-MOST_QUOTA, MOST_HOLD, MOST_BACK_OFF, MOST_PACKETS = 2**32 - 1, 60 * 10**9, 10**6, 2**31
 
 
 class Reduction(NamedTuple):
-    """How a tally stands in a node.
+    """How a reduction stands in a node, for compiled code.
 
-    state  int64 (STATE,)
-    order  int64 (REQUEST_FIELDS,), what came from the parent
-    sums   int64 (SUMS,), of the children that have answered
-    known  int64 (SUMS,), of this node's own sums what compiled code does not know
-    room   uint8, for a message
+    state    ReductionState (1,)
+    request  TraceRequest (1,), what came from the parent
+    sums     int64 (SUMS,), of the children that have replied
+    known    int64 (SUMS,), of this node's own sums what compiled code does not know
+    total    int64 (SUMS,), scratch
+    message  uint8, room for a message
     """
 
-    state: NDArray[np.int64]
-    order: NDArray[np.int64]
-    sums: NDArray[np.int64]
-    known: NDArray[np.int64]
-    room: NDArray[np.uint8]
+    state: Rows
+    request: Rows
+    sums: Long
+    known: Long
+    total: Long
+    message: NDArray[np.uint8]
 
 
 def make_reduction(parent: int = 0, children: tuple[int, ...] = ()) -> Reduction:
     """None is under way."""
-    reduction_state = Reduction(
-        np.zeros(STATE, np.int64),
-        np.zeros(REQUEST_FIELDS, np.int64),
+    made = Reduction(
+        ReductionState.rows(),
+        TraceRequest.rows(),
+        np.zeros(SUMS, np.int64),
         np.zeros(SUMS, np.int64),
         np.zeros(SUMS, np.int64),
         np.zeros(HEAD + max(REQUEST_BYTES, REPLY_BYTES), np.uint8),
     )
-    reduction_state.state[PARENT_PORT] = parent
-    reduction_state.state[CHILD_PORTS] = sum(1 << port for port in children)
-    return reduction_state
+    state = ReductionState.view(made.state)
+    state.parent_port, state.child_ports = parent, sum(1 << port for port in children)
+    return made
 
 
-# --- in Python -----------------------------------------------------------------------------------------
+# --- the rules, for Python and for compiled code ---------------------------------------------------------
 
 
-def pack_request(number: int, order: dict[str, Any]) -> bytes | None:
-    """The order `trace` as a TALLY; None if it cannot be one, and must go as a map, to be refused by the nodes."""
-    quota, gather, flush = order.get("quota"), order.get("gather", 0), order.get("flush")
-    hold, linger = order.get("hold", 0.0), order.get("linger", 0.0)
-    if not (type(quota) is int and type(gather) is int and type(flush) is int):
-        return None
-    if not (isinstance(hold, float) and isinstance(linger, float) and 0.0 <= hold <= 60.0 and 0.0 <= linger <= 1.0):
-        return None
-    fields = number, quota, int(hold * 1e9), gather, int(linger * 1e6), flush
-    return np.array(fields, "<i8").tobytes() if _is_sound(fields) else None
+def is_sound(request: TraceRequest) -> bool:
+    """Whether all fields of a request are in range."""
+    times = (0 <= request.hold <= LONGEST_HOLD) & (0 <= request.back_off <= MOST_BACK_OFF)
+    packets = (0 <= request.batch_threshold <= MOST_PACKETS) & (1 <= request.flush <= MOST_PACKETS)
+    return times & packets & (0 <= request.quota <= MOST_QUOTA)
 
 
-def read_request(message: bytes) -> list[int]:
-    """The fields of a TALLY. Raises ProtocolError."""
+def begin(state: ReductionState, request: TraceRequest, sums: Long, now: int) -> None:
+    """A request has come at `now` (nanoseconds): the children are to be told of it, and it is to be done."""
+    state.pending, state.wave, state.fresh = 1, request.wave, 1
+    state.replied, state.to_notify = 0, state.child_ports
+    state.deadline = now + request.hold
+    for k in range(SUMS):
+        sums[k] = 0
+
+
+def awaits_reply(state: ReductionState, port: int, wave: int) -> bool:
+    """Whether a reply by this port, of this wave, is one that is waited for."""
+    asked = state.child_ports & ~state.replied
+    return (state.pending != 0) & (wave == state.wave) & ((asked >> port) & 1 != 0)
+
+
+def waits_for_node(state: ReductionState) -> bool:
+    """Whether one is under way that waits for nobody but this node."""
+    return (state.pending != 0) & (state.to_notify == 0) & (state.replied == state.child_ports)
+
+
+def add_own_sums(
+    sums: Long, counts: Long, queues_held: Long, outputs_held: Long, samples_left: bool, quota: int
+) -> None:
+    """Add what a node has counted in its frame, and how it stands, to sums."""
+    for k in range(COUNTS):
+        sums[k] += counts[k]
+    sums[SUM_WAITING] += queues_held[0] + queues_held[1] + queues_held[2]
+    for k in range(len(outputs_held)):
+        sums[SUM_WAITING] += outputs_held[k]
+    if samples_left:
+        sums[HOMES_LEFT] += 1
+        sums[ALLOWED] += quota
+
+
+is_sound_part, begin_part, awaits_reply_part = part(is_sound), part(begin), part(awaits_reply)
+waits_for_node_part, add_own_sums_part = part(waits_for_node), part(add_own_sums)
+
+
+# --- bytes, in Python ------------------------------------------------------------------------------------
+
+
+def trace_request(wave: int, command: TraceCommand) -> TraceRequest:
+    """The command as a request; what does not fit into 64 bits becomes the nearest number that does."""
+    hold, back_off = int(command.hold * NANO), int(command.back_off * MICRO)
+    fields = wave, command.quota, hold, command.batch_threshold, back_off, command.flush
+    return TraceRequest(*(max(-(2**63), min(2**63 - 1, field)) for field in fields))
+
+
+def pack_request(wave: int, command: TraceCommand) -> bytes | None:
+    """The command as the payload of a REDUCE; None if it is out of range, and must go as a map, for nodes to refuse it."""
+    request = trace_request(wave, command)
+    return pack_fields(request) if is_sound(request) else None
+
+
+def pack_fields(request: TraceRequest) -> bytes:
+    """The payload of a REDUCE."""
+    return np.array(request.numbers(), "<i8").tobytes()
+
+
+def read_request(message: bytes) -> TraceRequest:
+    """The request of a REDUCE. Raises ProtocolError."""
     if len(message) != HEAD + REQUEST_BYTES:
-        raise ProtocolError(f"a tally came with {len(message) - HEAD} bytes, wanted {REQUEST_BYTES}")
-    fields: list[int] = np.frombuffer(message, "<i8", REQUEST_FIELDS, HEAD).tolist()
-    if not _is_sound(fields):
-        raise ProtocolError(f"a tally came with {fields}, wanted number, quota, hold, gather, nap and flush in range")
-    return fields
+        raise ProtocolError(f"a request came with {len(message) - HEAD} bytes, wanted {REQUEST_BYTES}")
+    request = TraceRequest(*np.frombuffer(message, "<i8", REQUEST_FIELDS, HEAD).tolist())
+    if not is_sound(request):
+        raise ProtocolError(
+            f"a request came with {request.numbers()}, "
+            "wanted wave, quota, hold, batch threshold, back-off and flush in range"
+        )
+    return request
 
 
-def _is_sound(fields: Any) -> bool:
-    _, quota, hold, gather, nap, flush = fields
-    return bool(
-        0 <= quota <= MOST_QUOTA
-        and 0 <= hold <= MOST_HOLD
-        and 0 <= gather <= MOST_PACKETS
-        and 0 <= nap <= MOST_BACK_OFF
-        and 1 <= flush <= MOST_PACKETS
-    )
+def pack_reply(wave: int, sums: Long) -> bytes:
+    """The payload of a REDUCED."""
+    return np.concatenate(([wave], sums)).astype("<i8").tobytes()
 
 
-def pack_reply(number: int, sums: NDArray[np.int64]) -> bytes:
-    """The answer to a tally."""
-    return np.concatenate(([number], sums)).astype("<i8").tobytes()
-
-
-def read_reply(message: bytes) -> tuple[int, NDArray[np.int64]]:
-    """(number, sums) of an answer to a tally. Raises ProtocolError."""
+def read_reply(message: bytes) -> tuple[int, Long]:
+    """(number of the wave, sums) of a REDUCED. Raises ProtocolError."""
     if len(message) != HEAD + REPLY_BYTES:
-        raise ProtocolError(f"an answer to a tally came with {len(message) - HEAD} bytes, wanted {REPLY_BYTES}")
+        raise ProtocolError(f"a reply came with {len(message) - HEAD} bytes, wanted {REPLY_BYTES}")
     numbers = np.frombuffer(message, "<i8", 1 + SUMS, HEAD).astype(np.int64)
     return int(numbers[0]), numbers[1:]
 
 
-# --- in compiled code ----------------------------------------------------------------------------------
+# --- bytes, in compiled code -----------------------------------------------------------------------------
 
 
 @part
-def read_word(raw, place):
+def read_field(raw: NDArray[np.uint8], place: int) -> int:
     """A field of a message, int64."""
-    return read_u64(raw, HEAD + place * FIELD_BYTES)
+    value: int = read_u64(raw, HEAD + place * FIELD_BYTES)
+    return value
 
 
 @part
-def put_word(raw, place, value):
+def put_field(raw: NDArray[np.uint8], place: int, value: int) -> None:
     """Write a field of a message."""
-    at = HEAD + place * FIELD_BYTES
-    for k in range(FIELD_BYTES):
-        raw[at + k] = np.uint8((value >> (8 * k)) & 0xFF)
-
-
-@part
-def may_begin(reduction_state, port, raw):
-    """Whether a message, as long as a TALLY, is one that this code can take care of."""
-    state = reduction_state.state
-    if state[COMPILED_SERVES] == 0 or state[PENDING] != 0 or port != state[PARENT_PORT]:
-        return False
-    quota, hold, gather = read_word(raw, QUOTA), read_word(raw, HOLD), read_word(raw, BATCH_THRESHOLD)
-    nap, flush = read_word(raw, BACK_OFF), read_word(raw, FLUSH_PACKETS)
-    times = (hold >= 0) & (hold <= MOST_HOLD) & (nap >= 0) & (nap <= MOST_BACK_OFF)
-    packets = (gather >= 0) & (gather <= MOST_PACKETS) & (flush >= 1) & (flush <= MOST_PACKETS)
-    return times & packets & (quota >= 0) & (quota <= MOST_QUOTA)
-
-
-@part
-def begin_reduction(reduction_state, raw, now):
-    """As `tallies.Tallies.begin`; what it orders is still to be done."""
-    state = reduction_state.state
-    for k in range(REQUEST_FIELDS):
-        reduction_state.order[k] = read_word(raw, k)
-    state[PENDING], state[CURRENT], state[REPLIED], state[TO_NOTIFY] = (
-        1,
-        reduction_state.order[WAVE],
-        0,
-        state[CHILD_PORTS],
-    )
-    state[DEADLINE], state[FRESH] = now + reduction_state.order[HOLD], 1
-    for k in range(SUMS):
-        reduction_state.sums[k] = 0
-
-
-@part
-def may_take_reply(reduction_state, port, raw):
-    """Whether a message, as long as a TALLIED, is one that is waited for."""
-    state = reduction_state.state
-    if state[COMPILED_SERVES] == 0 or state[PENDING] == 0 or (state[CHILD_PORTS] >> port) & 1 == 0:
-        return False
-    return (state[REPLIED] >> port) & 1 == 0 and read_word(raw, 0) == state[CURRENT]
-
-
-@part
-def take_reply(reduction_state, port, raw):
-    """As `tallies.Tallies.hear`."""
-    for k in range(SUMS):
-        reduction_state.sums[k] += read_word(raw, 1 + k)
-    reduction_state.state[REPLIED] |= 1 << port
-
-
-@part
-def waits_for_node(reduction_state):
-    """Whether one is under way that this code serves, and that waits for nobody but this node."""
-    state = reduction_state.state
-    return (
-        state[PENDING] != 0
-        and state[COMPILED_SERVES] != 0
-        and state[TO_NOTIFY] == 0
-        and state[REPLIED] == state[CHILD_PORTS]
-    )
-
-
-@part
-def put_reply(reduction_state, quota, cursor, held, outputs, counts, data_sent, data_done):
-    """Write the answer into `room`: the children's sums and this node's own.
-
-    data_sent, data_done  messages of the links that this code serves; those of others are known
-    """
-    waiting = held[0] + held[1] + held[2]
-    for k in range(len(outputs.held)):
-        waiting += outputs.held[k]
-    left = np.int64(cursor[DONE] == 0)
-    put_word(reduction_state.room, 0, reduction_state.state[CURRENT])
-    for k in range(SUMS):
-        value = reduction_state.sums[k] + reduction_state.known[k]
-        if k < COUNTS:
-            value += counts[k]
-        elif k == HOMES_LEFT:
-            value += left
-        elif k == SUM_WAITING:
-            value += waiting
-        elif k == ALLOWED:
-            value += left * quota
-        elif k == SUM_DATA_SENT:
-            value += data_sent
-        elif k == SUM_DATA_DONE:
-            value += data_done
-        put_word(reduction_state.room, 1 + k, value)
+    write(raw, HEAD + place * FIELD_BYTES, value, FIELD_BYTES)

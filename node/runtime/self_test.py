@@ -1,8 +1,6 @@
-"""A program is tried before it is used: in a world of its own, with every kind of ray, in the node that got it."""
+"""Tries a program before it is used: in a world of its own, with every kind of ray, in the node that got it."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 
@@ -10,12 +8,14 @@ from raygrid.node.errors import ProtocolError
 from raygrid.node.geometry.lattice import LATTICE, make_space
 from raygrid.node.geometry.surfaces import NUMBERS, OWN_HALF, OWN_NUMBERS, STORED_AS, STRIDE, AddedKind, Batch, Kind
 from raygrid.node.programs.programs import Compiled, Program, compiled, read_program, try_functions
+from raygrid.node.protocol.commands import CommandMap
 from raygrid.node.protocol.frame_tables import LIGHT_COLUMNS, MATERIAL_COLUMNS, RULE, RULE_COLUMNS, Frame
+from raygrid.node.runtime.node_state import NodeState
 
-MOST_TURNS = 10_000
+MOST_BATCHES = 10_000
 
 
-def ready_program(order: dict[str, Any], allowed: bool) -> Compiled | None:
+def ready_program(order: CommandMap, allowed: bool) -> Compiled | None:
     """The program of an order, compiled and tried; None for none. Raises ProtocolError, also if it is not allowed."""
     program = read_program(order)
     if program is None:
@@ -28,8 +28,6 @@ def ready_program(order: dict[str, Any], allowed: bool) -> Compiled | None:
 
 def attempt(made: Compiled) -> None:
     """Trace a small picture of a programmed surface, a triangle, and the background. Raises what the program raises."""
-    from raygrid.node.runtime.node_state import NodeState
-
     node_state = NodeState((0, 0, 0), (1, 1, 1))
     node_state.ready = made
     node_state.use_ready()
@@ -39,11 +37,11 @@ def attempt(made: Compiled) -> None:
     node_state.build()
     node_state.set_frame(_frame())
     node_state.quota = 64
-    for _ in range(MOST_TURNS):
+    for _ in range(MOST_BATCHES):
         if not node_state.has_work:
             return
         node_state.work()
-    raise ProtocolError(f"the program {made.program.name} has not traced 64 rays after {MOST_TURNS} turns")
+    raise ProtocolError(f"the program {made.program.name} has not traced 64 rays after {MOST_BATCHES} batches")
 
 
 def _surfaces(program: Program) -> list[Batch]:

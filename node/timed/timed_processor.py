@@ -19,6 +19,7 @@ from raygrid.node.errors import ProtocolError
 from raygrid.node.geometry.grid_walk import HOST, PORTS
 from raygrid.node.geometry.surfaces import Kind
 from raygrid.node.links.link import Arrival, Link
+from raygrid.node.protocol.commands import CommandMap
 from raygrid.node.protocol.counters import COUNTS
 from raygrid.node.protocol.messages import HEAD, MessageKind
 from raygrid.node.protocol.packets import FAULTS, SIZE, first_fault
@@ -33,6 +34,7 @@ from raygrid.node.protocol.timestamps import (
     read_stamped,
 )
 from raygrid.node.runtime.processor import Processor
+from raygrid.node.runtime.reduction import TraceRequest
 from raygrid.node.timed.lookahead import Lookahead
 from raygrid.node.timed.service_clock import (
     CLOCK_BLOCKED,
@@ -81,7 +83,7 @@ class TimedProcessor(Processor):
 
     # --- orders ------------------------------------------------------------------------------------
 
-    def _obey(self, order: dict[str, Any]) -> None:
+    def _obey(self, order: CommandMap) -> None:
         super()._obey(order)
         do = order.get("do")
         if do == "frame":
@@ -89,20 +91,20 @@ class TimedProcessor(Processor):
         elif do in ("collect", "halt", "space"):
             self._prices, self._started, self._why = None, False, CLOCK_IDLE
 
-    def _admit(self, quota: int, gather: int, nap: int, flush: int) -> None:
-        super()._admit(quota, gather, nap, flush)
+    def _admit(self, request: TraceRequest) -> None:
+        super()._admit(request)
         if self._prices is not None:
             self.node_state.quota = 0  # spawning follows machine time, not the root
             self._started = self._dirty = True
 
-    def _begin_frame(self, order: dict[str, Any]) -> None:
+    def _begin_frame(self, order: CommandMap) -> None:
         found = read_prices(order)
         self._started, self._why = False, CLOCK_IDLE
         self._prices = None
         if found is None:
             return
         self._prices, tests = found
-        self._frame_number = int(order.get("wave", 0)) & 0xFFFFFFFF
+        self._frame_number = _wave_of(order)
         self.timed, self._stamps = make_service_clock(1, FIRST_CLOCK_ROOM), self._new_stamps()
         held = [sum(len(batch) for batch in self.node_state.retained if batch.kind == kind) for kind in Kind]
         self.timed.nodes[0]["list_ticks"] = int(np.array(held) @ tests)
@@ -247,3 +249,9 @@ class TimedProcessor(Processor):
             "trace": row["trace"],
         }
         return {**super().record(), "machine": machine}
+
+
+def _wave_of(order: CommandMap) -> int:
+    """The number of the wave, 32 bits of it."""
+    wave = order.get("wave", 0)
+    return wave & 0xFFFFFFFF if isinstance(wave, int) else 0

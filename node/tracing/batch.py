@@ -67,16 +67,17 @@ def run_batch(cell, space, frame, surfaces, pixels, cursor, quota, tuning, stack
     served).
 
     quota   primaries that may be spawned
-    tuning  (packets after which it ends, rays that wait below which primaries are spawned, primaries spawned at once, ...)
+    tuning  a record with batch_packets (after which it ends), admit_below (rays that wait, below which primaries are
+            spawned) and admit_at_once (how many primaries)
     stacks  `work_queues.Stacks`; held: int64 (CLASSES + 1,), updated
     The other arguments are those of `step` and `spawn_primaries`.
     """
     served = 0
     room = (outputs.data.shape[1] - HEAD) // SIZE
     lights = max(frame.n_lights, 2)
-    while served < tuning[0]:
-        if quota > 0 and cursor[DONE] == 0 and held[RAYS] < tuning[1]:
-            many = min(quota, min(tuning[2], len(stacks.ray_ports) - held[RAYS]))
+    while served < tuning.batch_packets:
+        if quota > 0 and cursor[DONE] == 0 and held[RAYS] < tuning.admit_below:
+            many = min(quota, min(tuning.admit_at_once, len(stacks.ray_ports) - held[RAYS]))
             if many == 0:
                 return quota, BATCH_CROWDED, served
             made = spawn_primaries(

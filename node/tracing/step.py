@@ -21,6 +21,7 @@ from raygrid.node.geometry.grid_walk import (
     towards_start,
 )
 from raygrid.node.geometry.lattice import T_MIN
+from raygrid.node.geometry.spanning_tree import towards_corner_part
 from raygrid.node.jit.decorators import lean, part
 from raygrid.node.protocol.counters import BOXES, DIED, HITS, WALKS
 from raygrid.node.protocol.frame_tables import DIFFUSE, HIGHLIGHT, IOR, SHINE, SPECULAR, TRANSMISSION
@@ -239,18 +240,6 @@ def _keep(frame, pixels, packets, at, counts):
 
 
 @part
-def towards_corner(cell, space):
-    """The output on the way to the nearest corner; HOST at the corner."""
-    target = (
-        0 if 2 * cell.index[0] <= space.shape[0] - 1 else space.shape[0] - 1,
-        0 if 2 * cell.index[1] <= space.shape[1] - 1 else space.shape[1] - 1,
-        0 if 2 * cell.index[2] <= space.shape[2] - 1 else space.shape[2] - 1,
-    )
-    port = towards_cell(cell.index, target)
-    return HOST if port == NO_PORT else port
-
-
-@part
 def _settle(cell, space, frame, pixels, packets, at, kind, outputs, counts):
     """Step a return packet, kept at its home, else handed on towards it; or a pixel packet."""
     if kind == RETURN:
@@ -260,7 +249,7 @@ def _settle(cell, space, frame, pixels, packets, at, kind, outputs, counts):
         else:
             hand_on(packets, at, port, outputs, counts)
     else:
-        output = towards_corner(cell, space)
+        output = towards_corner_part(cell.index, space.shape)
         if output == HOST:
             counts[DIED + PIXEL] += 1
         hand_on(packets, at, output, outputs, counts)
@@ -311,7 +300,7 @@ def _settle_each(cell, space, frame, pixels, packets, first, last, outputs, coun
     """Step packets first..last-1, all of them returns or pixels: as `_settle`, those that go on before those that are at
     home, without a branch for each."""
     ways, lists = outputs.setup.ways, outputs.setup.lists
-    output, passing, ending = towards_corner(cell, space), 0, 0
+    output, passing, ending = towards_corner_part(cell.index, space.shape), 0, 0
     for j in range(last - first):
         at = (first + j) * SIZE
         is_return = read_kind(packets, at) == RETURN

@@ -121,7 +121,7 @@ class Gate:
 
 @pytest.fixture
 def gate(no_leftovers: str) -> Iterator[Gate]:
-    """A gate, and the stand-in programs made importable for the nursery."""
+    """A gate, and the stand-in programs made importable for the fork server."""
     made = Gate(no_leftovers)
     yield made
     made.close()
@@ -226,7 +226,7 @@ def warm_badly(report: Callable[[int, int, str], None]) -> None:
 
 
 def warm_with_few_processes(report: Callable[[int, int, str], None]) -> None:
-    """Let the third fork of the nursery fail, as at the limit of processes."""
+    """Let the third fork of the fork server fail, as at the limit of processes."""
     fork, left = os.fork, iter((True, True))
 
     def fork_twice() -> int:
@@ -243,31 +243,31 @@ def warm_with_few_processes(report: Callable[[int, int, str], None]) -> None:
 FRONT_END = """
 import os, select, signal, sys
 from raygrid.emulator.processes.fork_server_client import ForkServerClient
-from raygrid.emulator.topology.socket_directory import Place
+from raygrid.emulator.topology.socket_directory import SocketDirectory
 path, warm, how = sys.argv[1:]
-with Place.create((3, 1, 1)) as place:
+with SocketDirectory.create((3, 1, 1)) as place:
     program = dict(program="support.processes", warm="support.processes:" + warm)
-    nursery = ForkServerClient.start(directory=place.path, **program)
-    print(place.path, nursery.pid, flush=True)
+    server = ForkServerClient.start(directory=place.path, **program)
+    print(place.path, server.pid, flush=True)
     if how == "ignores children":
         signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     if warm == "warm_for_ever":
-        while not nursery.read_events():
-            select.select([nursery], [], [])
+        while not server.read_events():
+            select.select([server], [], [])
         print("stuck", flush=True)
         signal.pause()
-    nursery.launch([{"index": [n, 0, 0], "gate": path, "then": "wait"} for n in range(3)])
+    server.launch([{"index": [n, 0, 0], "gate": path, "then": "wait"} for n in range(3)])
     if how == "has a fork":
         os.fork()
     if how in ("has a fork", "waits"):
         signal.pause()
     if how == "ends":
-        nursery.end()
+        server.end()
     if how == "polls":
-        with nursery:
+        with server:
             while True:
-                select.select([nursery], [], [])
-                nursery.read_events()
+                select.select([server], [], [])
+                server.read_events()
 """
 
 

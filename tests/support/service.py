@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 import raygrid
 from raygrid.host.client.client import Service
-from raygrid.host.client.protocol import VERSION, Splitter, pack
+from raygrid.host.client.protocol import VERSION, message_splitter, pack
 from raygrid.host.client.service_files import SOCKET, TOKEN, ServiceRecord, find, state_directory
 from raygrid.host.scene.load import load_scene
 from raygrid.node.errors import ArrayError
@@ -141,7 +141,7 @@ class Peer:
     """A bare socket at the door of a service."""
 
     def __init__(self, record: ServiceRecord) -> None:
-        self._splitter = Splitter()
+        self._splitter = message_splitter()
         self.token = Path(record.directory, TOKEN).read_text()
         self.socket = socket.socket(socket.AF_UNIX)
         self.socket.settimeout(TIMEOUT)

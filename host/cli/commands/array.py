@@ -1,4 +1,4 @@
-"""The commands that ask an array that stays how it is, or tell it what to do: status, jobs, cancel, reset, down."""
+"""Carries out the commands that ask or order an array that stays: status, jobs, cancel, reset, down."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import signal
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 from raygrid.host.cli.progress import ProgressReporter
 from raygrid.host.client.client import Service, connect, wait_gone
 from raygrid.host.client.connection import Connection
+from raygrid.host.client.facts import JobFacts, RunningFacts, StatusFacts
 from raygrid.host.client.service_files import JOURNAL, ServiceRecord, find, state_directory
 from raygrid.host.image.outputs import write_lines, write_result
 from raygrid.host.journal.facts import journal_facts
@@ -29,8 +29,6 @@ JOB_COLUMNS = (
     "job", "state", "frames", "done", "submitted", "waited", "took", "priority", "client", "scene", "outputs",
 )  # fmt: skip
 ABOUT = JOB_COLUMNS.index("client")  # from there on columns say what it is, and not how it stands
-
-Facts = dict[str, Any]
 
 
 def run_status(name: str, as_json: bool, watch: bool = False, every: float = 1.0) -> None:
@@ -66,7 +64,7 @@ def _watch(array: Service, every: float) -> None:
             live.update(drawn(), refresh=True)
 
 
-def _status_lines(facts: Facts) -> list[str]:
+def _status_lines(facts: StatusFacts) -> list[str]:
     shape = "x".join(map(str, facts["array"]))
     load = "" if facts["load"] is None else f", load {100 * facts['load']:.0f} %"
     why = f" ({facts['why']})" if facts["why"] else ""
@@ -85,7 +83,7 @@ def _status_lines(facts: Facts) -> list[str]:
     refused = ", ".join(f"{count} {why}" for why, count in facts["refused"].items() if count)
     lines.append(f"clients: {facts['clients']}; refused: {refused or 'none'}")
     lines += [f"journal: {words}" for words in (facts["journal"]["trouble"], *facts["journal"]["remarks"]) if words]
-    if facts.get("prometheus"):
+    if facts["prometheus"]:
         lines.append(f"figures for Prometheus: {figures_url(facts['prometheus'])}")
     rows = [("node", "pid", "state", "load", "PSS")]
     for node in facts["nodes"][:NODES_SHOWN]:
@@ -98,7 +96,7 @@ def _status_lines(facts: Facts) -> list[str]:
     return lines
 
 
-def _running(running: Facts | None) -> str:
+def _running(running: RunningFacts | None) -> str:
     if running is None:
         return "idle"
     frame = "" if running["frame"] is None else f" frame {running['frame']}"
@@ -124,7 +122,7 @@ def run_jobs(name: str, ended: int, as_json: bool) -> None:
         )
 
 
-def _jobs(name: str, ended: int) -> tuple[list[Facts], bool]:
+def _jobs(name: str, ended: int) -> tuple[list[JobFacts], bool]:
     """The jobs of an array, and whether it is down."""
     try:
         find(name)
@@ -147,9 +145,9 @@ def job_lines(rows: list[tuple[str, ...]], width: int | None) -> list[str]:
     return [head, *(line for pair in zip(jobs, about, strict=True) for line in pair)]
 
 
-def _job_row(job: Facts, now: float) -> tuple[str, ...]:
+def _job_row(job: JobFacts, now: float) -> tuple[str, ...]:
     """A job as a row: how long it waited for its first frame, and took from then on, until now or its end."""
-    submitted, begun, ended = (job.get(name) for name in ("submitted", "begun", "ended"))
+    submitted, begun, ended = job.get("submitted"), job.get("begun"), job.get("ended")
     going = job["state"] in ("queued", "running")
     waited = took = "-"
     if submitted is not None and (going or begun or ended):

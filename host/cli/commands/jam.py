@@ -1,4 +1,4 @@
-"""The command `raygrid jam`: the naive machine of finite buffers, without admission and with it (docs/deadlock.md)."""
+"""Carries out `raygrid jam`: the naive machine of finite buffers, without admission and with it (docs/deadlock.md)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class JamRequest:
     room      packets that a link's buffer holds
     budget    primary rays alive at once in the run with admission; None: as many as can surely not jam, 1 at least
     frame     of a shot, None for its first
-    settings  of `raygrid.host.render.job.Settings`
+    settings  of `raygrid.host.render.machine_job.Settings`
     """
 
     scene: str
@@ -51,24 +51,24 @@ def run_jam(request: JamRequest) -> None:
         reporter.phase("letting it jam, and then not")
         naive, admitted = _run(job, request.room, None), _run(job, request.room, budget)
     if request.as_json:
-        told: dict[str, Any] = {
+        facts: dict[str, object] = {
             "scene": scene.name,
             "frame": job.number,
             "array": list(request.shape),
             "surely_free_budget": free,
         }
-        told |= {"without_admission": asdict(naive), "with_admission": asdict(admitted)}
-        write_result(json.dumps(told))
+        facts |= {"without_admission": asdict(naive), "with_admission": asdict(admitted)}
+        write_result(json.dumps(facts))
         return
     size = f"{job.frame.width}x{job.frame.height}"
     shape = "x".join(map(str, request.shape))
     frame = "" if scene.shot is None else f"frame {job.number} of {scene.shot.frames}, "
     lines = [f"{scene.name}, {frame}{size} pixels, array {shape}, buffers of {request.room} packets"]
-    lines += ["", "without admission:", *_told(naive)]
+    lines += ["", "without admission:", *_outcome_lines(naive)]
     lines += [
         "",
         f"with admission, never more than {_many(budget, 'primary ray')} alive:",
-        *_told(admitted),
+        *_outcome_lines(admitted),
         _promise(budget, free),
     ]
     write_lines(lines)
@@ -78,7 +78,7 @@ def _run(job: Job, room: int, budget: int | None) -> Outcome:
     return NaiveMachine(job.space, job.surfaces, job.frame, room, budget).run()
 
 
-def _told(outcome: Outcome) -> Iterator[str]:
+def _outcome_lines(outcome: Outcome) -> Iterator[str]:
     """Lines on one run."""
     born = ", ".join(f"{count:,} {kind}" for kind, count in outcome.born.items() if count)
     if not outcome.jammed:

@@ -1,4 +1,4 @@
-"""The command `raygrid law`."""
+"""Carries out `raygrid law`: sweeps arrays and pictures, fits the law, writes the report."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class LawRequest:
     along     axis that a square array leaves whole, None: the one along which the camera looks
     folder    where the report goes
     command   how this was asked for, for the report
-    settings  of `raygrid.host.render.job.Settings`
+    settings  of `raygrid.host.render.machine_job.Settings`
     """
 
     scenes: tuple[str, ...]

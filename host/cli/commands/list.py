@@ -1,4 +1,4 @@
-"""The command `raygrid list`: the arrays that are up, and how each is."""
+"""Carries out `raygrid list`: prints the arrays that are up, and how each is."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import contextlib
 import json
 import time
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import NotRequired, TypedDict
 
 from raygrid.host.client.connection import Connection
 from raygrid.host.client.service_files import ServiceRecord, running
@@ -17,6 +17,20 @@ from raygrid.node.errors import ArrayError
 ANSWER_SECONDS = 3.0  # for each; all are asked at once
 MOST_ASKED = 16  # at once
 SILENT = "does not answer"
+
+
+class ListedFacts(TypedDict):
+    """What is listed of an array; None of a service that does not answer, `why` then says so."""
+
+    name: str
+    array: list[int]
+    state: str
+    pid: int
+    started: float
+    jobs: int | None
+    frames: int | None
+    running: int | None
+    why: NotRequired[str]
 
 
 def run_list(as_json: bool) -> None:
@@ -35,9 +49,9 @@ def run_list(as_json: bool) -> None:
     write_result("\n".join(table(rows)) if found else "no array is up")
 
 
-def _facts(record: ServiceRecord) -> dict[str, Any] | None:
+def _facts(record: ServiceRecord) -> ListedFacts | None:
     """What there is to say of an array; None if it ends just now."""
-    facts = {
+    facts: ListedFacts = {
         "name": record.name,
         "array": list(record.shape),
         "state": SILENT,
@@ -64,7 +78,7 @@ def _facts(record: ServiceRecord) -> dict[str, Any] | None:
     }
 
 
-def _jobs(facts: dict[str, Any]) -> str:
+def _jobs(facts: ListedFacts) -> str:
     if not facts["jobs"]:
         return "none"
     rest = f", {count_of(facts['frames'], 'frame')} not begun" if facts["frames"] else ""

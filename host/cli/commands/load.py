@@ -1,4 +1,4 @@
-"""The command `raygrid load`: try a program on an array."""
+"""Carries out `raygrid load`: tries a program on an array."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command `raygrid probe`: how the nodes of an array stand, live or from a recording."""
+"""Carries out `raygrid probe`: shows how the nodes of an array stand, live or from a recording."""
 
 from __future__ import annotations
 
@@ -9,10 +9,13 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 # What reads samples brings in compiled code, which takes a second or more: only after the terminal shows something.
 if TYPE_CHECKING:
+    from rich.console import RenderableType
+    from rich.live import Live
+
     from raygrid.host.cli.probe_table import Shares
     from raygrid.host.probes.probing import Feed, Probing
 
@@ -126,7 +129,7 @@ def _open(request: ProbeRequest) -> Iterator[tuple[Feed, str | None]]:
         yield feed, None
 
 
-def _served(request: ProbeRequest, probing: Probing) -> AbstractContextManager[Any]:
+def _served(request: ProbeRequest, probing: Probing) -> AbstractContextManager[object]:
     if request.prometheus is None:
         return contextlib.nullcontext()
     from raygrid.host.probes.metrics_server import Endpoint
@@ -140,7 +143,7 @@ class _Screen:
 
     def __init__(self, request: ProbeRequest, probing: Probing, shares: Shares, head: str | None) -> None:
         self._request, self._probing, self._shares, self._head = request, probing, shares, head
-        self._live: Any = None
+        self._live: Live | None = None
         self._drawn = 0.0
 
     def __enter__(self) -> _Screen:
@@ -153,7 +156,7 @@ class _Screen:
             self._live.start(refresh=True)
         return self
 
-    def _view(self) -> Any:
+    def _view(self) -> RenderableType:
         from raygrid.host.cli.probe_view import view
 
         width, height = self._console.size

@@ -1,7 +1,9 @@
-"""The command `raygrid simulate`."""
+"""Carries out `raygrid simulate`: a frame in machine time, in one process."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,6 +24,7 @@ from raygrid.host.scene.load import check_name
 if TYPE_CHECKING:
     from raygrid.host.machine_time.simulate import Simulated
 
+Stats = dict[str, Any]
 
 KERNELS = 70  # of the simulator, about
 
@@ -37,7 +40,7 @@ class SimulateRequest:
     band      low and high costs, too
     outputs, stats, table, plots   paths to write, plots being a folder
     frame     of a shot, None for its first
-    settings  of `raygrid.host.render.job.Settings`
+    settings  of `raygrid.host.render.machine_job.Settings`
     """
 
     scene: str
@@ -91,10 +94,10 @@ def _simulate(request: SimulateRequest, reporter: ProgressReporter) -> Simulated
         for output in request.outputs:
             check_side(output, job.frame.width, job.frame.height)
         reporter.phase("simulating")
-        return simulate_job(job, cost, request.search, request.band, tell=told(reporter))
+        return simulate_job(job, cost, request.search, request.band, tell=phase_reporter(reporter))
 
 
-def told(reporter: ProgressReporter) -> Any:
+def phase_reporter(reporter: ProgressReporter) -> Callable[[str, int, int], None]:
     """A teller for `simulate_job`: the phase, events so far, and how many a second."""
     from raygrid.emulator.processes import now
 
@@ -109,7 +112,7 @@ def told(reporter: ProgressReporter) -> Any:
     return tell
 
 
-def compiling(reporter: ProgressReporter, kind: str = SIMULATOR) -> Any:
+def compiling(reporter: ProgressReporter, kind: str = SIMULATOR) -> AbstractContextManager[object]:
     """While this lasts, kernels that have to be compiled are told of."""
     from raygrid.emulator.processes import told_of
 
@@ -141,7 +144,7 @@ def _written(request: SimulateRequest) -> list[str]:
     return written
 
 
-def _write(request: SimulateRequest, done: Simulated, reporter: ProgressReporter) -> dict[str, Any]:
+def _write(request: SimulateRequest, done: Simulated, reporter: ProgressReporter) -> Stats:
     from raygrid.host.image.picture import Picture
     from raygrid.host.machine_time.simulate_stats import make_stats, save_csv
     from raygrid.host.render.stats import save_stats
@@ -164,7 +167,7 @@ def _write(request: SimulateRequest, done: Simulated, reporter: ProgressReporter
     return stats
 
 
-def summary(done: Simulated, stats: dict[str, Any]) -> list[str]:
+def summary(done: Simulated, stats: Stats) -> list[str]:
     """What came out, for people."""
     shares, total, queue = stats["shares"], stats["total"], stats["queue"]
     rays = sum(total["born"][kind] for kind in ("primary", "reflected", "refracted", "shadow"))
@@ -191,7 +194,7 @@ def _place(index: list[int]) -> str:
     return ",".join(map(str, index))
 
 
-def _link(stats: dict[str, Any]) -> str:
+def _link(stats: Stats) -> str:
     """The busiest link, by the processors at both of its ends."""
     busiest = stats["links"]["busiest"]
     if not busiest["packets"]:
@@ -202,7 +205,7 @@ def _link(stats: dict[str, Any]) -> str:
     return f"busiest link: {_place(busiest['node'])} to {_place(to)} ({port}), {busiest['packets']:,} packets"
 
 
-def _seconds(stats: dict[str, Any], phase: str) -> str:
+def _seconds(stats: Stats, phase: str) -> str:
     """Machine seconds, with the band in brackets if there is one; long times in words, too."""
     band = stats["band"]
     seconds = band["middle"]["seconds"][phase]

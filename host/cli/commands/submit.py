@@ -1,4 +1,4 @@
-"""The commands `raygrid submit` and `raygrid wait`: jobs, and the following of them."""
+"""Submits jobs and follows them, for `raygrid submit` and `raygrid wait`."""
 
 from __future__ import annotations
 
@@ -9,20 +9,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from raygrid.host.cli.progress import PHASES, ProgressReporter
-from raygrid.host.client.client import absolute, pattern_at
-from raygrid.host.client.connection import ENDED, Connection, EventListener
+from raygrid.host.client.connection import Connection, EventListener
+from raygrid.host.client.facts import ENDED
 from raygrid.host.client.service_files import find
+from raygrid.host.client.submission import Submission, absolute
 from raygrid.host.files.input_guard import STANDARD, check_outputs, note
-from raygrid.host.image.frames import (
-    Ends,
-    Turntable,
-    check_patterns,
-    default_outputs,
-    frames_of,
-    is_played,
-    path_of,
-    wants_shot,
-)
+from raygrid.host.image.frames import Ends, FrameNames, default_outputs, frames_of, longest_number, path_of, wants_shot
 from raygrid.host.image.moving_pictures import check_played
 from raygrid.host.image.outputs import check_named, check_picture_path, write_result
 from raygrid.host.scene.load import check_name, check_program_name
@@ -36,26 +28,23 @@ NO_JOB = 0  # its number is in the answer
 Facts = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class SubmitRequest:
-    """What the command line asks for; `settings` of `raygrid.host.render.job.Settings`."""
+@dataclass(frozen=True, kw_only=True)
+class SubmitRequest(Submission):
+    """What the command line asks for: a job, of which array, and how to tell of it."""
 
     scene: str
-    name: str
-    frames: tuple[int, int] | None
     outputs: tuple[str, ...]
     stats: str | None
-    transfer: str
-    budget: int
-    resume: bool
+    program: str | None = None
+    name: str
     detach: bool
     as_json: bool
     quiet: bool
-    client: str
-    settings: Facts
-    turntable: Turntable | None = None
-    program: str | None = None
-    priority: int = 0
+
+    @property
+    def of_shot(self) -> bool:
+        """Whether frames of a shot are asked for, and not a picture of the scene as it stands. Raises OutputError."""
+        return wants_shot(self.frames, self.turntable is not None, self.outputs, self.stats)
 
 
 def run_submit(order: SubmitRequest) -> None:
@@ -66,7 +55,7 @@ def run_submit(order: SubmitRequest) -> None:
     connection = Connection(find(order.name))
     with contextlib.closing(connection):
         listener = connection.listen(NO_JOB)
-        answer = connection.ask(_request(order), listener=listener)
+        answer = connection.ask(order.message(follow=not order.detach), listener=listener)
         job = answer["job"]
         if order.detach:
             write_result(json.dumps({"job": job, "frames": answer["frames"]}) if order.as_json else str(job))
@@ -93,15 +82,9 @@ def run_wait(job: int, name: str, as_json: bool, quiet: bool) -> None:
         _follow(listener, job, facts["frames"], as_json, quiet)
 
 
-def _of_shot(order: SubmitRequest) -> bool:
-    """Whether frames of a shot are asked for, and not a picture of the scene as it stands. Raises OutputError."""
-    stats = [] if order.stats is None else [order.stats]
-    return wants_shot(order.frames, order.turntable is not None, (*order.outputs, *stats))
-
-
 def _named(order: SubmitRequest) -> SubmitRequest:
     """The same with the default output, if none was named."""
-    return order if order.outputs else replace(order, outputs=default_outputs(order.scene, _of_shot(order)))
+    return order if order.outputs else replace(order, outputs=default_outputs(order.scene, order.of_shot))
 
 
 def _frames(order: SubmitRequest) -> Ends | None:
@@ -109,7 +92,7 @@ def _frames(order: SubmitRequest) -> Ends | None:
 
     Raises SceneError for a scene in which nothing moves.
     """
-    if order.frames is not None or not _of_shot(order):
+    if order.frames is not None or not order.of_shot:
         return order.frames
     if order.turntable is not None:
         return 1, order.turntable.frames
@@ -131,47 +114,21 @@ def _check(order: SubmitRequest) -> None:
         check_program_name(order.program)
     if order.program is not None and not os.path.isfile(order.program):
         raise SceneError(f"{order.program}: there is no such file")
-    shot = _of_shot(order)
-    check_patterns(order.outputs, order.stats, order.frames, shot)
-    first = order.frames[0] if order.frames is not None else 1 if shot else None
-    written = [path_of(pattern, first) for pattern in order.outputs]
-    for path, pattern in zip(written, order.outputs, strict=True):
+    shot = order.of_shot
+    names = FrameNames.checked(order.outputs, order.stats, order.frames, shot)
+    longest = longest_number(order.frames) if shot else None
+    for path in names.of(longest):
         if path == STANDARD:
             raise OutputMisuse("-: the output is standard output, wanted a file, since the service writes it")
-        if is_played(pattern, shot):
-            check_played(path)
-        else:
-            check_picture_path(path)
-    if order.stats is not None:
-        written.append(path_of(order.stats, first))
-        check_named(written[-1])
+        check_picture_path(path)
+    for path in names.played:
+        check_played(path)
+    if names.stats is not None:
+        check_named(path_of(names.stats, longest))
     note(order.scene, "the same file as the scene")
     if order.program is not None:
         note(order.program, "the same file as the program")
-    check_outputs(written)
-
-
-def _request(order: SubmitRequest) -> Facts:
-    settings = {name: value for name, value in order.settings.items() if value is not None}
-    if "size" in settings:
-        settings["size"] = list(settings["size"])
-    turn = order.turntable
-    return {
-        "do": "submit",
-        "scene": absolute("scene", order.scene),
-        "settings": settings,
-        "frames": None if order.frames is None else list(order.frames),
-        "outputs": [pattern_at("output", pattern) for pattern in order.outputs],
-        "stats": None if order.stats is None else pattern_at("stats", order.stats),
-        "transfer": order.transfer,
-        "budget": order.budget,
-        "resume": order.resume,
-        "client": order.client,
-        "turntable": None if turn is None else {"frames": turn.frames, "scene": turn.turn_scene},
-        "program": None if order.program is None else absolute("program", order.program),
-        "priority": order.priority,
-        "follow": not order.detach,
-    }
+    check_outputs(names.every([longest]))
 
 
 def _follow(listener: EventListener, job: int, frames: int, as_json: bool, quiet: bool) -> None:

@@ -1,4 +1,4 @@
-"""The command `raygrid trace`: the ray tree of one pixel."""
+"""Carries out `raygrid trace`: prints the ray tree of one pixel."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from raygrid.emulator.processes import LOOKING
 from raygrid.host.cli.commands.simulate import compiling
 from raygrid.host.cli.progress import ProgressReporter
-from raygrid.host.cli.trace import headline, plain_lines, ray_line, sample_line, trace_pixel
+from raygrid.host.cli.trace import Facts, headline, plain_lines, ray_line, sample_line, trace_pixel
 from raygrid.host.image.outputs import write_result
 from raygrid.host.render.animation_jobs import still_job
 from raygrid.host.render.job import Settings
@@ -24,7 +24,7 @@ class TraceRequest:
     pixel     column and row, 0,0 top left
     sample    the only sample to show, or None for all
     frame     of a shot, None for its first
-    settings  of `raygrid.host.render.job.Settings`
+    settings  of `raygrid.host.render.machine_job.Settings`
     """
 
     scene: str
@@ -43,22 +43,22 @@ def run_trace(request: TraceRequest) -> None:
         reporter.phase(f"splitting {scene.name}")
         job = still_job(scene, request.shape, Settings(**request.settings), request.frame)
         reporter.phase(f"tracing pixel {request.pixel[0]},{request.pixel[1]}")
-        told = trace_pixel(job, *request.pixel, request.sample)
+        facts = trace_pixel(job, *request.pixel, request.sample)
     if request.as_json:
-        write_result(json.dumps(told, indent=1))
+        write_result(json.dumps(facts, indent=1))
     elif sys.stdout.isatty():
-        _print_tree(told)
+        _print_tree(facts)
     else:
-        write_result("\n".join(plain_lines(told)))
+        write_result("\n".join(plain_lines(facts)))
 
 
-def _print_tree(told: dict[str, Any]) -> None:
+def _print_tree(facts: Facts) -> None:
     from rich.console import Console
     from rich.text import Text
     from rich.tree import Tree
 
-    tree = Tree(Text(headline(told), "bold"))
-    for sample in told["trees"]:
+    tree = Tree(Text(headline(facts), "bold"))
+    for sample in facts["trees"]:
         branch = tree.add(Text(sample_line(sample)))
         waiting = [(branch, sample["ray"])] if sample["ray"] else []
         while waiting:

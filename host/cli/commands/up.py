@@ -1,4 +1,4 @@
-"""The command `raygrid up`: start a service, and tell how its start goes until it is ready."""
+"""Carries out `raygrid up`: starts a service, and says how its start goes until it is ready."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TypedDict
 
 from raygrid.host.cli.progress import ProgressReporter
 from raygrid.host.client.service_files import LOG, make_state_directory, read_record, running, runs_already
@@ -33,6 +33,13 @@ class Launch:
     as_json: bool
     quiet: bool
     prometheus: int | None = None
+
+
+# "is" is no name of Python's
+ReadyFacts = TypedDict(
+    "ReadyFacts",
+    {"is": str, "pid": int, "nodes": list[int], "unfinished": int, "remarks": list[str], "prometheus": int | None},
+)
 
 
 def run_up(launch: Launch) -> None:
@@ -61,7 +68,7 @@ def run_up(launch: Launch) -> None:
         )
     for remark in ready["remarks"]:
         ProgressReporter(False).remark(remark)
-    if ready.get("prometheus") and not launch.quiet:
+    if ready["prometheus"] and not launch.quiet:
         from raygrid.host.probes.metrics_server import figures_url
 
         ProgressReporter(False).remark(f"figures for Prometheus are at {figures_url(ready['prometheus'])}")
@@ -72,7 +79,7 @@ def run_up(launch: Launch) -> None:
         )
 
 
-def _start(launch: Launch, reporter: ProgressReporter) -> dict[str, Any]:
+def _start(launch: Launch, reporter: ProgressReporter) -> ReadyFacts:
     """Start the process; returns what it says when it is ready."""
     arguments = [launch.name, "--array", *map(str, launch.shape)]
     arguments += ["--batch", str(launch.batch), "--patience", str(launch.patience)]
@@ -98,16 +105,17 @@ def _start(launch: Launch, reporter: ProgressReporter) -> dict[str, Any]:
     return ready
 
 
-def _listen(process: subprocess.Popen[bytes], name: str, reporter: ProgressReporter) -> dict[str, Any]:
+def _listen(process: subprocess.Popen[bytes], name: str, reporter: ProgressReporter) -> ReadyFacts:
     assert process.stdout is not None
     assert process.stderr is not None
     with process.stdout as said, process.stderr as words:
         for line in said:
-            message: dict[str, Any] = json.loads(line)
+            message = json.loads(line)
             if message["is"] == "warming":
                 reporter.warming(message["done"], message["total"], message["what"])
             elif message["is"] == "ready":
-                return message
+                ready: ReadyFacts = message
+                return ready
             else:
                 raise ArrayError(message["error"])
         last = words.read(1 << 14).decode(errors="replace").strip().splitlines()[-1:]

@@ -1,8 +1,8 @@
 """A shot: a scene whose surfaces, camera, lights and materials change from frame to frame.
 
 The scene describes everything at rest. Its `shot` says which surfaces move together, in groups, and where they are in
-each frame: turned, scaled evenly and shifted from rest (`node.geometry.rigid_motion`, here in scene coordinates). Frames are numbered
-from 1.
+each frame: turned, scaled evenly and shifted from rest (`node.geometry.rigid_motion`, here in scene coordinates). Frames are
+numbered from 1.
 """
 
 from __future__ import annotations

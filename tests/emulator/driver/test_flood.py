@@ -119,7 +119,7 @@ def test_the_end_of_loading_is_not_believed_too_soon():
     def turns():
         if len(waves) < 3:
             return [0, 2, 1, 3]
-        if not far.links[HOST].received or far._received == 0:
+        if not far.links[HOST].received or far.flood.received == 0:
             return [3]
         return [1, 0] if array.driver.waves == 3 else [0, 1, 2, 3]
 

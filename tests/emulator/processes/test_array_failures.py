@@ -352,13 +352,14 @@ def test_a_wrong_quota_is_refused(quota):
 
 
 @pytest.mark.parametrize(
-    "tuning", [{"gather": None}, {"gather": 1.5}, {"linger": 2.0}, {"linger": "x"}, {"flush": None}]
+    "tuning",
+    [{"batch_threshold": None}, {"batch_threshold": 1.5}, {"back_off": 2.0}, {"back_off": "x"}, {"flush": None}],
 )
-def test_a_wrong_pace_is_refused(tuning):
+def test_wrong_tuning_is_refused(tuning):
     array = launched("1x1x1")
     load(array, "1x1x1", scene())
     array.driver.trace(scene().frame)
-    with pytest.raises(ArrayError, match="gather, linger and flush came as"):
+    with pytest.raises(ArrayError, match="batch_threshold, back_off and flush came as"):
         array.driver.wave({"do": "trace", "quota": 0, **tuning})
 
 
@@ -395,7 +396,7 @@ def test_an_answer_that_is_none_breaks_the_link(answer):
     array = launched("2x1x1")
     child = array.processors[1]
     child._own_answer = lambda do: answer
-    with pytest.raises(ProtocolError, match=r"an answer came without its|came back as another one"):
+    with pytest.raises(ProtocolError, match=r"a reply came without its|came back as another one"):
         array.driver.wave({"do": "ready"})
 
 

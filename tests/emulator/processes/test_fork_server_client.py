@@ -21,9 +21,10 @@ from support.processes import (
     wait_readable,
 )
 
-from raygrid.emulator.processes.control import LENGTH, LONGEST_MESSAGE, ForkServerChannel
+from raygrid.emulator.processes.control import LONGEST_MESSAGE, ForkServerChannel
 from raygrid.emulator.processes.fork_server_client import ForkServerClient, Warming
 from raygrid.node.errors import ArrayError, LostProcess, ProtocolError
+from raygrid.node.protocol.framing import LENGTH
 
 pytestmark = pytest.mark.usefixtures("no_leftovers")
 __all__ = ["gate", "no_leftovers"]  # fixtures

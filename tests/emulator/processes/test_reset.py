@@ -16,7 +16,7 @@ from support.processes import no_leftovers, wait_dead, wait_readable
 
 from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.emulator.processes.array import Array
-from raygrid.emulator.topology.socket_directory import process_state
+from raygrid.emulator.topology.process_stat import process_state
 from raygrid.emulator.topology.topology import indices
 from raygrid.host.render.frame import render_job
 from raygrid.host.render.job import Job, Settings, make_job
@@ -271,10 +271,9 @@ def test_messages_of_an_older_epoch_are_counted_and_dropped(array):
 def _order_of(link, order) -> bytes:
     sent = []
     channel, link.channel = link.channel, type("Taken", (), {"send": lambda self, raw: sent.append(raw) or True})()
-    link_state = link._link_state.tolist()
+    before = link._counted.numbers()
     link.send_order(MessageKind.DOWN, order)
-    for place, number in enumerate(link_state):
-        link._link_state[place] = number
+    link._counted.take(type(link._counted)(*before))
     link.channel = channel
     return sent[0]
 

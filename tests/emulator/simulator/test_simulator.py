@@ -166,7 +166,7 @@ def test_flood_visits_the_nodes_that_the_flood_of_the_emulator_does():
     array = MemoryArray((3, 3, 3))
     array.driver.ready()
     array.driver.load(job.space, job.surfaces)
-    assert flooded.visits == sum(processor._received for processor in array.processors)
+    assert flooded.visits == sum(processor.flood.received for processor in array.processors)
     assert flooded.ticks > 0
 
 

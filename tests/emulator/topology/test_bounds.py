@@ -41,9 +41,10 @@ from raygrid.emulator.topology.bounds import (
     trees_bound,
 )
 from raygrid.node.geometry.surfaces import Kind
+from raygrid.node.protocol.commands import TraceCommand
 from raygrid.node.protocol.messages import WINDOW
 from raygrid.node.runtime import node_state as tracer_module
-from raygrid.node.runtime.processor import CLOGGED
+from raygrid.node.runtime.surface_flood import CLOGGED
 
 SIZE = (24, 18)
 
@@ -225,7 +226,7 @@ def test_a_slow_node_makes_the_bound_come_true(budget, batch):
     wave = array.driver.wave
 
     def slow_wave(order):
-        if order["do"] == "trace" and most == 0:
+        if isinstance(order, TraceCommand) and most == 0:
             # the slow node has taken in the order of the frame, but sees nothing of what follows
             array._order, fast = only_at_first(0, 60), array._order
             watch(array, look)
@@ -319,7 +320,7 @@ def test_the_flood_waits_in_bounded_room(monkeypatch):
 
     def look() -> None:
         for processor in array.processors:
-            most["unread"] = max(most["unread"], len(processor._surfaces))
+            most["unread"] = max(most["unread"], len(processor.flood.unread))
             for link in processor.links.values():
                 most["waiting"] = max(most["waiting"], link.waiting)
                 most["longest"] = max([most["longest"], *(len(payload) for _, _, payload in link.queued)])

@@ -15,13 +15,13 @@ import pytest
 from support.processes import FrontEnd, Gate, Leftovers, gate, no_leftovers, wait_dead
 
 from raygrid.emulator.topology import socket_directory
+from raygrid.emulator.topology.process_stat import process_mark
 from raygrid.emulator.topology.socket_directory import (
     PID_FILE,
     SocketDirectory,
     endpoint,
     host_endpoint,
     longest_path,
-    process_mark,
     sweep,
 )
 from raygrid.node.errors import ArrayError
@@ -312,15 +312,6 @@ def test_a_directory_that_a_user_named_after_raygrid_is_never_removed(base, name
 
 def test_sweeping_what_is_not_there_does_nothing(tmp_path):
     assert sweep(str(tmp_path / "none")) == []
-
-
-def test_a_name_with_blanks_and_brackets_does_not_confuse_the_start_time(tmp_path):
-    strange = tmp_path / "a) b ("
-    strange.symlink_to("/bin/cat")
-    with subprocess.Popen([str(strange)], stdin=subprocess.PIPE) as process:
-        pid, started, _ = process_mark(process.pid).split()
-        assert int(pid) == process.pid
-        assert int(started) >= int(process_mark(os.getpid()).split()[1])
 
 
 def test_a_front_end_killed_together_with_its_nursery_is_swept_after(gate: Gate):

@@ -139,7 +139,7 @@ def test_outputs_are_looked_at_before_anything_is_done(arguments, line, code, tm
     if "locked" in line and os.geteuid() == 0:
         pytest.skip("nothing is write-protected for root")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("raygrid.host.cli.commands.render.Array", None)  # would be called to render
+    monkeypatch.setattr("raygrid.host.cli.commands.render_request.Array", None)  # would be called to render
     (tmp_path / "tiny.nff").write_text(GOOD)
     (tmp_path / "folder.png").mkdir()
     (tmp_path / "locked").mkdir(mode=0o555)

@@ -9,10 +9,10 @@ import time
 import pytest
 from support.processes import no_leftovers
 
-from raygrid.emulator.topology.socket_directory import process_mark
+from raygrid.emulator.topology.process_stat import process_mark
 from raygrid.host.client import connection as module
 from raygrid.host.client.connection import Connection
-from raygrid.host.client.protocol import VERSION, Splitter, pack
+from raygrid.host.client.protocol import VERSION, message_splitter, pack
 from raygrid.host.client.service_files import SOCKET, TOKEN, ServiceRecord, write_private
 from raygrid.node.errors import ArrayError
 
@@ -24,10 +24,10 @@ WELCOME = {"is": "welcome", "version": VERSION}
 class Played:
     """A service: what it says is what the test tells it to."""
 
-    def __init__(self, folder, work_queues=16):
+    def __init__(self, folder, backlog=16):
         self._listener = socket.socket(socket.AF_UNIX)
         self._listener.bind(os.path.join(folder, SOCKET))
-        self._listener.listen(work_queues)
+        self._listener.listen(backlog)
         self._listener.settimeout(20.0)
         write_private(module.Path(folder, TOKEN), "secret")
         self.record = ServiceRecord("played", os.getpid(), process_mark(os.getpid()), str(folder), (1, 1, 1), 0.0)
@@ -36,7 +36,7 @@ class Played:
     def accept(self):
         guest, _ = self._listener.accept()
         guest.settimeout(20.0)
-        self.guests.append((guest, Splitter()))
+        self.guests.append((guest, message_splitter()))
         return len(self.guests) - 1
 
     def hear(self, guest=0):
@@ -215,7 +215,7 @@ def test_what_cannot_be_sent_is_named_and_the_connection_lives(service, kind):
 
 
 def test_a_door_that_is_full_for_a_moment_is_tried_again(no_leftovers):
-    service = Played(no_leftovers, work_queues=0)
+    service = Played(no_leftovers, backlog=0)
     first = socket.socket(socket.AF_UNIX)
     first.connect(os.path.join(no_leftovers, SOCKET))  # waits at the door, and so fills it
     try:

@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.cases import steady
 
-from raygrid.host.client.protocol import DEEPEST, LENGTH, LONGEST, MOST_ITEMS, Splitter, pack, unpack, unsendable
+from raygrid.host.client.protocol import DEEPEST, LONGEST, MOST_ITEMS, message_splitter, pack, unpack, unsendable
 from raygrid.node.errors import ProtocolError
+from raygrid.node.protocol.framing import LENGTH
 
 plain = st.recursive(
     st.none()
@@ -31,7 +32,7 @@ def depth(value):
 def test_messages_come_out_as_they_went_in_however_the_stream_is_torn(messages, sizes):
     messages = [message for message in messages if depth(message) <= DEEPEST]
     stream = b"".join(map(pack, messages))
-    splitter, found, at, turn = Splitter(), [], 0, 0
+    splitter, found, at, turn = message_splitter(), [], 0, 0
     while at < len(stream):
         size = sizes[turn % len(sizes)]
         splitter.feed(stream[at : at + size])
@@ -84,7 +85,7 @@ def test_what_is_no_msgpack_is_refused(body):
 
 
 def test_a_length_beyond_the_longest_is_refused_before_the_message_has_come():
-    splitter = Splitter(longest=100)
+    splitter = message_splitter(longest=100)
     splitter.feed(LENGTH.pack(101))
     with pytest.raises(ProtocolError, match="a message of 101 bytes came, wanted at most 100"):
         splitter.next()

@@ -126,17 +126,3 @@ def test_any_map_is_a_request_or_a_protocol_error(message, what):
     except ProtocolError:
         return
     assert request.do == what
-
-
-def test_the_bounds_are_those_of_whoever_keeps_them():
-    from raygrid.host.client import requests
-    from raygrid.host.render import job
-    from raygrid.host.scene.animation import animation
-    from raygrid.node.protocol import commands, packets
-    from raygrid.node.runtime import probe
-
-    assert requests.MAX_FRAMES == animation.MAX_FRAMES
-    assert requests.MAX_SIDE == commands.MAX_SIDE
-    assert requests.MAX_PIXELS == job.MAX_PIXELS
-    assert requests.MAX_DEPTH == packets.MAX_DEPTH
-    assert requests.FASTEST == probe.FASTEST

@@ -8,16 +8,17 @@ import sys
 import pytest
 
 from raygrid.host.files import part_files
-from raygrid.host.files.part_files import DIRECTORY, DIRECTORY_NAME, FILE, FILE_NAME, PartFolder, part_file, sweep
+from raygrid.host.files.part_files import DIRECTORY, DIRECTORY_NAME, FILE, FILE_NAME, PartFolder, replacing, sweep
 from raygrid.host.image.outputs import write_whole
 
 KILLED = """
 import os, signal, sys, tempfile
-from raygrid.host.files.part_files import PartFolder, part_file
+from raygrid.host.files.part_files import PartFolder, replacing
 tempfile.tempdir = sys.argv[1]
 reel = PartFolder()
 open(os.path.join(reel.path, "0.png"), "w").close()
-with part_file(sys.argv[1]) as (path, file), part_file(sys.argv[1], ".mp4") as (film, _):
+beside = os.path.join(sys.argv[1], "film")
+with replacing(beside) as (path, file), replacing(beside, ".mp4") as (film, _):
     print(reel.path, path, film, flush=True)
     {}
 """
@@ -81,20 +82,29 @@ def test_only_our_own_kinds_and_names_are_swept(tmp_path):
 def test_one_that_was_swept_before_it_was_locked_is_made_anew(tmp_path, monkeypatch):
     made = []
 
-    def swept_at_once(path, make=part_files._make_file):
-        descriptor = make(path)
+    def swept_at_once(path, mode, make=part_files._make_file):
+        descriptor = make(path, mode)
         made.append(path)
         if len(made) < 3:
             os.unlink(path)
         return descriptor
 
     monkeypatch.setattr(part_files, "_make_file", swept_at_once)
-    with part_file(str(tmp_path)) as (path, file):
+    with replacing(str(tmp_path / "a")) as (path, file):
         file.write(b"x")
         assert path == made[-1]
         assert os.path.exists(path)
     assert len(made) == 3
-    assert list(tmp_path.iterdir()) == []
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+def test_what_fails_leaves_the_file_that_was_there(tmp_path):
+    (tmp_path / "a").write_bytes(b"old")
+    with pytest.raises(ZeroDivisionError), replacing(str(tmp_path / "a")) as (_, file):
+        file.write(b"new")
+        raise ZeroDivisionError
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+    assert (tmp_path / "a").read_bytes() == b"old"
 
 
 def test_a_file_has_the_rights_that_any_new_one_has(tmp_path):

@@ -21,7 +21,7 @@ from raygrid.emulator.processes.array import Array
 from raygrid.emulator.topology.topology import indices
 from raygrid.host.render.frame import render_job
 from raygrid.host.render.job import Settings, make_job
-from raygrid.host.render.retry import render_with_retries
+from raygrid.host.render.session import RenderSession
 from raygrid.host.scene.load import load_scene
 from raygrid.node.errors import ProtocolError
 
@@ -104,7 +104,7 @@ def test_a_frame_that_loses_a_node_is_the_same_under_probes(array):
         if phase == "trace" and progress is not None and progress.primaries and not killed:
             killed.append(os.kill(victim, signal.SIGKILL))
 
-    picture = render_with_retries(array, job(), watch=watch)
+    picture = RenderSession(array).render(job(), watch=watch)
     array.probe(0.0, None)
     assert len(picture.stats["faults"]) == 1
     assert np.array_equal(picture.sums, rendered(load_scene(TINY), size=(64, 48), samples=2).sums)

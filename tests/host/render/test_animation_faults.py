@@ -18,7 +18,7 @@ from raygrid.emulator.processes.array import Array
 from raygrid.host.render.animation_jobs import jobs_of
 from raygrid.host.render.frame import render_job
 from raygrid.host.render.job import Settings
-from raygrid.host.render.retry import render_with_retries
+from raygrid.host.render.session import RenderSession
 from raygrid.host.scene.load import load_scene
 
 __all__ = ["no_leftovers"]
@@ -53,8 +53,8 @@ def test_a_node_killed_between_and_during_increments(array, monkeypatch, order):
     wave, killed, orders = Driver.wave, [], []
 
     def listening(self, told):
-        orders.append(told["do"])
-        if told["do"] == order and orders.count("collect") >= 1 and not killed:
+        orders.append(told["do"] if isinstance(told, dict) else told.do)
+        if orders[-1] == order and orders.count("collect") >= 1 and not killed:
             killed.append(order)
             kill(array, 3)
         return wave(self, told)
@@ -65,7 +65,7 @@ def test_a_node_killed_between_and_during_increments(array, monkeypatch, order):
         if order == "between" and job.number == FRAMES[1]:
             killed.append(order)
             kill(array, 3)
-        pictures.append(render_with_retries(array, job))
+        pictures.append(RenderSession(array).render(job))
     assert killed == [order]
     assert all(np.array_equal(picture.sums, sums) for picture, sums in zip(pictures, truth(), strict=True))
     assert [len(picture.stats["faults"]) for picture in pictures] == [0, 1, 0]

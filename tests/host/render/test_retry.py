@@ -6,6 +6,7 @@ import os
 import resource
 import signal
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -19,7 +20,7 @@ from raygrid.host.image.picture import Picture
 from raygrid.host.render.frame import render_job
 from raygrid.host.render.job import Job, Settings, make_job
 from raygrid.host.render.retry import FaultReport
-from raygrid.host.render.retry import render_with_retries as steadily
+from raygrid.host.render.session import RenderSession
 from raygrid.host.scene.load import load_scene
 from raygrid.node.errors import ArrayError, LostProcess, ProtocolError
 from raygrid.node.protocol.messages import MessageKind
@@ -32,9 +33,10 @@ pytestmark = [pytest.mark.timeout(120)]
 
 
 @cache
-def job() -> Job:
+def job(load_key: str = "") -> Job:
     """A frame long enough for something to happen to it."""
-    return make_job(load_scene(SCENES / "kinds.nff"), SHAPE, Settings(size=(160, 120), samples=2))
+    made = make_job(load_scene(SCENES / "kinds.nff"), SHAPE, Settings(size=(160, 120), samples=2))
+    return replace(made, load_key=load_key)
 
 
 @cache
@@ -45,9 +47,9 @@ def truth() -> np.ndarray:
     return render_job(array.driver, job()).sums
 
 
-def render_steadily(array: Array, job: Job, budget: int = BUDGET, **options) -> Picture:
+def render_steadily(array: Array, job: Job, budget: int = BUDGET, watch=None, **options) -> Picture:
     """With a budget so small that rays are in flight at many waves."""
-    return steadily(array, job, budget, **options)
+    return RenderSession(array, **options).render(job, budget, watch)
 
 
 @pytest.fixture(scope="module")
@@ -105,11 +107,12 @@ def test_without_faults_there_are_none(array):
     picture = render_steadily(array, job())
     assert picture.stats["faults"] == []
     assert np.array_equal(picture.sums, truth())
-    assert np.array_equal(render_steadily(array, job(), loaded=True).sums, truth())
+    assert np.array_equal(render_steadily(array, job("held")).sums, truth())
+    assert "load" not in render_steadily(array, job("held")).stats["wall_seconds"]
 
 
 def test_after_a_fault_a_loaded_scene_is_loaded_again(array):
-    render_steadily(array, job())
+    render_steadily(array, job("held"))
     phases: list[str] = []
 
     def watch(now, progress) -> None:
@@ -118,7 +121,7 @@ def test_after_a_fault_a_loaded_scene_is_loaded_again(array):
         kill(now, progress)
 
     kill = once("collect", lambda: os.kill(array.pids[0], signal.SIGKILL))
-    assert np.array_equal(render_steadily(array, job(), watch=watch, loaded=True).sums, truth())
+    assert np.array_equal(render_steadily(array, job("held"), watch=watch).sums, truth())
     assert phases == ["trace", "collect", "load", "trace", "collect"]
 
 

@@ -231,7 +231,7 @@ def test_a_journal_that_goes_away_is_made_anew_with_all_that_is_unfinished(tmp_p
 
 def test_there_is_an_end_to_what_is_queued(jobs, monkeypatch):
     monkeypatch.setattr(service_jobs, "MOST_QUEUED", 10)
-    monkeypatch.setattr(service_jobs, "MOST_JOBS", 3)
+    monkeypatch.setattr(service_jobs, "MOST_UNFINISHED", 3)
     jobs.submit(request(1, 8))
     with pytest.raises(RaygridError, match="8 frames are queued already, wanted at most 10"):
         jobs.submit(request(1, 3))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from raygrid.host.client.protocol import VERSION, Splitter, pack
+from raygrid.host.client.protocol import VERSION, message_splitter, pack
 from raygrid.host.client.service_files import SOCKET, TOKEN
 from raygrid.host.service import listener
 from raygrid.host.service.listener import Listener
@@ -37,7 +37,7 @@ def greeting(folder):
 
 def received(peer):
     """All messages until the door closes."""
-    splitter, found = Splitter(), []
+    splitter, found = message_splitter(), []
     while True:
         try:
             piece = peer.recv(1 << 16)
@@ -86,7 +86,7 @@ def asked(peer, folder, *requests):
 
 
 def answers(peer, count):
-    splitter, found = Splitter(), []
+    splitter, found = message_splitter(), []
     while len(found) < count:
         piece = peer.recv(1)  # no byte of the next one
         assert piece, f"the door closed after {found}"

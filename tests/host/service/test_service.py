@@ -15,10 +15,11 @@ from support.service import SIZE, Peer, array, name, on, shot_of, sums, up, watc
 from support.terminal import HIDE, SHOW, Terminal
 
 import raygrid
-from raygrid.emulator.topology.socket_directory import process_state
-from raygrid.host.client.protocol import LENGTH, LONGEST_GREETING, VERSION, pack
+from raygrid.emulator.topology.process_stat import process_state
+from raygrid.host.client.protocol import LONGEST_GREETING, VERSION, pack
 from raygrid.host.client.service_files import find
 from raygrid.node.errors import ArrayError
+from raygrid.node.protocol.framing import LENGTH
 
 __all__ = ["array", "name", "warm_kernels"]
 

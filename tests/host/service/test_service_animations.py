@@ -127,7 +127,7 @@ def test_what_an_array_must_hold_is_told_apart_by_where_groups_are(tmp_path):
     path, store, loaded = tmp_path / "s.toml", SceneStore((2, 1, 1)), []
     for shift in (1, 2, 1):
         path.write_text(text.format(shift) + still + ball)
-        loaded.append(store.frame(FrameRequest(str(path), Settings(split="uniform")), 2).loaded)
+        loaded.append(store.frame(FrameRequest(str(path), Settings(split="uniform")), 2).job.load_key)
     assert loaded[0] == loaded[2] != loaded[1]
 
 

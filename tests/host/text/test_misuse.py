@@ -14,8 +14,6 @@ from raygrid.host.cli.group_inspect import PixelType
 from raygrid.host.cli.group_service import ArrayNameType
 from raygrid.host.cli.main import cli
 from raygrid.host.cli.types import (
-    MOST_PIXELS,
-    MOST_SIDE,
     EdgesType,
     FaultType,
     FileName,
@@ -23,7 +21,6 @@ from raygrid.host.cli.types import (
     PairType,
     ShapeType,
 )
-from raygrid.host.render.job import MAX_PIXELS, MAX_SIDE
 
 TINY, MOBILE, RINGS = (str(SCENES / name) for name in ("tiny.nff", "mobile.toml", "rings.toml"))
 TORUS = str(SCENES / "programs" / "torus.py")
@@ -73,7 +70,7 @@ def valued_options() -> list[tuple[str, str]]:
 @pytest.fixture(autouse=True)
 def nothing_begins(tmp_path, monkeypatch):
     """No array is launched or asked, and nothing is written."""
-    for name in ("render.Array", "load.Array", "up._start", "submit.Connection"):
+    for name in ("render_request.Array", "load.Array", "up._start", "submit.Connection"):
         monkeypatch.setattr(f"raygrid.host.cli.commands.{name}", None)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     (tmp_path / "here").mkdir()
@@ -92,10 +89,6 @@ def test_no_option_takes_what_it_cannot_be(command, option):
     timed = ["--timed"] * (command == "render" and option in ("--cost", "--search"))
     for value in values:
         misused(here(*arguments(command), *timed, option, value), command, ".*(came|is not one of|cannot|wanted).*")
-
-
-def test_the_command_line_knows_the_largest_picture():
-    assert (MOST_SIDE, MOST_PIXELS) == (MAX_SIDE, MAX_PIXELS)
 
 
 TOGETHER = [  # command, arguments after it, what is said of them
@@ -135,7 +128,7 @@ TOGETHER = [  # command, arguments after it, what is said of them
 @pytest.mark.parametrize(("command", "after", "said"), TOGETHER, ids=lambda value: str(value)[:40])
 def test_arguments_that_cannot_be_are_misuse(command, after, said, monkeypatch):
     if {"--size", "--samples", "--frames"} & set(after):
-        monkeypatch.setattr("raygrid.host.cli.commands.render.Array", _Nothing)
+        monkeypatch.setattr("raygrid.host.cli.commands.render_request.Array", _Nothing)
     misused(here(command, *after), command, said)
 
 
@@ -168,7 +161,7 @@ class _Nothing:
 )
 def test_a_program_that_is_wanted_is_told_by_the_option_that_the_command_has(command, hint, monkeypatch):
     """It failed: simulate, trace and jam advised an option that they have not."""
-    monkeypatch.setattr("raygrid.host.cli.commands.render.Array", _Nothing)
+    monkeypatch.setattr("raygrid.host.cli.commands.render_request.Array", _Nothing)
     outcome = here(command, RINGS, *NEEDED.get(command, []))
     one_line(
         outcome, 1, rf"raygrid: rings.toml: \d+ surfaces of a program came, wanted a program with surface_hits.*{hint}"
@@ -194,8 +187,7 @@ FAILS = [  # what depends on files, the computer or an array has failed, and is 
 @pytest.mark.parametrize("words", FAILS, ids=" ".join)
 def test_what_depends_on_the_world_has_failed(words, monkeypatch):
     if words[1:2] == [MOBILE]:
-        monkeypatch.setattr("raygrid.host.cli.commands.frames.Array", _Nothing, raising=False)
-        monkeypatch.setattr("raygrid.host.cli.commands.render.Array", _Nothing)
+        monkeypatch.setattr("raygrid.host.cli.commands.render_request.Array", _Nothing)
     if "--array" in words:
         monkeypatch.undo()
     one_line(here(*words), 1, "raygrid: .*")

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import os
 import pickle
+import shutil
+import subprocess
+import sys
 import time
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from support.paths import ROOT
 from support.small_kernels import WANTED, SmallKernels
 
 from raygrid.node import remarks
@@ -117,8 +121,8 @@ def test_a_cache_that_can_be_read_and_not_written_is_used(small, kept):
 
 
 def test_a_full_disk_is_told_of_and_everything_goes_on(small):
-    full = "from raygrid.node import kernel_load\ndef write(path, data): raise OSError(28, 'No space left on device', path)\n"
-    again, told = small.run(before=full + "kernel_load.write_sealed = write")
+    full = "from raygrid.node.jit import fast_load\ndef write(path, data): raise OSError(28, 'No space left on device', path)\n"
+    again, told = small.run(before=full + "fast_load.write_sealed = write")
     assert (again["result"], again["compiled"]) == (WANTED, OURS)
     assert told.count("note: compiled kernels cannot be kept") == 1
     assert f"No space left on device: {small.cache}" in told
@@ -254,3 +258,81 @@ def test_only_old_directories_of_our_own_names_are_forgotten(tmp_path):
     cache._forget(tmp_path, kept)
     left = {kept.name, others[1], *theirs, f"kernels-{'d' * 16}", f"kernels-{'e' * 16}"}
     assert set(os.listdir(tmp_path)) == left
+
+
+# --- a directory a state of the sources --------------------------------------------------------------------
+
+NODE_FILES = sorted(str(path.relative_to(ROOT / "node")) for path in (ROOT / "node").rglob("*.py"))
+PART = "from raygrid.node.jit.decorators import part\n\n\n@part\ndef scaled(x):\n    return {factor} * x\n"
+KERNEL = """
+from raygrid.node.geometry.planted import scaled
+from raygrid.node.jit.decorators import lean
+
+
+@lean
+def total(x):
+    return scaled(x) + 1.0
+"""
+RUN_COPY = """
+import os
+import raygrid.node
+from raygrid.node.jit import cache
+from raygrid.node.tracing.planted import total
+
+assert raygrid.node.__file__.startswith(os.environ["PYTHONPATH"]), raygrid.node.__file__
+print(total(5.0), sum(total.stats.cache_misses.values()), cache.DIRECTORY)
+"""
+
+
+@pytest.fixture
+def node_copy(tmp_path):
+    """A copy of the package of the node; without what is compiled of it."""
+    copied = tmp_path / "raygrid" / "node"
+    shutil.copytree(ROOT / "node", copied, ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "raygrid" / "__init__.py").touch()
+    return copied
+
+
+def test_every_module_of_every_package_is_in_the_digest(node_copy, monkeypatch):
+    monkeypatch.setattr(cache, "_SOURCES", node_copy)
+    before = cache._digest()
+    assert {name.partition("/")[0] for name in NODE_FILES} >= {
+        "geometry",
+        "jit",
+        "protocol",
+        "tracing",
+        "runtime",
+        "timed",
+    }
+    for name in NODE_FILES:
+        path = node_copy / name
+        text = path.read_bytes()
+        path.write_bytes(text + b"#")
+        assert cache._digest() != before, f"a change of node/{name} leaves old machine code in use"
+        path.write_bytes(text)
+    assert cache._digest() == before
+    (node_copy / "tracing" / "step.py").rename(node_copy / "geometry" / "step.py")
+    assert cache._digest() != before  # a module that has moved, too
+
+
+def test_no_old_machine_code_runs_after_a_change_in_another_package(node_copy):
+    """The kernel's own file stays as it is: numba by itself would load what it compiled before."""
+    root = node_copy.parent.parent
+    environment = os.environ | {"PYTHONPATH": str(root), "RAYGRID_CACHE": str(root / "cache")}
+
+    def run(factor):
+        (node_copy / "geometry" / "planted.py").write_text(PART.format(factor=factor))
+        done = subprocess.run(
+            [sys.executable, "-c", RUN_COPY], capture_output=True, text=True, env=environment, cwd=root, timeout=250
+        )
+        assert done.returncode == 0, done.stderr
+        result, compiled, directory = done.stdout.split()
+        return float(result), int(compiled), directory
+
+    (node_copy / "tracing" / "planted.py").write_text(KERNEL)
+    (first, first_compiled, old), (second, second_compiled, new) = run("2.0"), run("3.0")
+    assert (first, second) == (11.0, 16.0)
+    assert (first_compiled, second_compiled) == (1, 1)
+    assert Path(old).parent == Path(new).parent == root / "cache"
+    assert old != new
+    assert run("2.0") == (11.0, 0, old)  # and what belongs to these sources is taken, not compiled

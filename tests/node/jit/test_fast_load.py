@@ -69,7 +69,7 @@ def test_other_types_are_compiled_and_the_first_are_still_there(run_again):
 
 
 def test_a_name_without_address_makes_the_compiler_ready(run_again):
-    before = "from raygrid.node import kernel_load\nkernel_load.binding.address_of_symbol = lambda name: None"
+    before = "from raygrid.node.jit import fast_load\nfast_load.binding.address_of_symbol = lambda name: None"
     again = run_again(before=before)
     assert (again["result"], again["compiled"]) == (WANTED, [])
     assert again["ready"] > 0

@@ -15,7 +15,7 @@ from raygrid.emulator.processes.control_channels import ControlChannels
 from raygrid.node.errors import ProtocolError
 from raygrid.node.links.control_channel import LONGEST_CONTROL_MESSAGE, ControlChannel
 from raygrid.node.protocol.codec import DEEPEST
-from raygrid.node.protocol.reset import LAST_EPOCH, read_reset
+from raygrid.node.protocol.reset import LAST_EPOCH, LinkConfig, NodeConfig, read_reset
 
 
 @pytest.fixture
@@ -70,7 +70,7 @@ def test_maps_that_are_too_deep_or_too_long_are_refused(ends):
     host._socket.send(msgpack.packb({"x": bytes(LONGEST_CONTROL_MESSAGE)}))
     assert node.receive() is None
     assert node.refused == 2
-    with pytest.raises(ProtocolError, match=f"words for a line have {LONGEST_CONTROL_MESSAGE + 8} bytes"):
+    with pytest.raises(ProtocolError, match=f"a control message has {LONGEST_CONTROL_MESSAGE + 8} bytes"):
         host.send({"x": bytes(LONGEST_CONTROL_MESSAGE)})
 
 
@@ -92,7 +92,7 @@ def test_descriptors_that_come_along_are_not_taken(ends):
     assert open_descriptors() == before
 
 
-def test_all_lines_are_heard_at_once():
+def test_all_channels_are_read_at_once():
     lines = ControlChannels()
     others = {}
     for number in range(4):
@@ -155,13 +155,14 @@ def test_descriptors_come_with_the_messages_that_bring_them():
 
 # --- the reset order ------------------------------------------------------------------------------
 
-CONFIG = {"index": (0, 0, 0), "epoch": 3, "machine": "old", "batch": 5, "links": ({"port": 1}, {"port": 6})}
+CONFIG = NodeConfig((0, 0, 0), (2, 1, 1), 3, "old", (LinkConfig(1, "", True), LinkConfig(6, "", False)), 5)
 LINKS = [{"port": 6, "endpoint": "ipc:///a/4-h", "bind": False}, {"port": 1, "endpoint": "ipc:///a/4-x", "bind": True}]
 ORDER = {"do": "reset", "epoch": 4, "machine": "new", "links": LINKS}
 
 
 def test_a_reset_order_gives_the_next_config():
-    assert read_reset(ORDER, CONFIG) == {**CONFIG, "epoch": 4, "machine": "new", "links": LINKS}
+    links = tuple(LinkConfig(**link) for link in LINKS)
+    assert read_reset(ORDER, CONFIG) == NodeConfig((0, 0, 0), (2, 1, 1), 4, "new", links, 5)
 
 
 @pytest.mark.parametrize(

@@ -17,10 +17,19 @@ from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.emulator.processes.array import Array
 from raygrid.host.render.frame import render_job
 from raygrid.host.render.job import Job, Settings, make_job
-from raygrid.host.render.retry import RECOVERABLE, render_with_retries
+from raygrid.host.render.retry import RECOVERABLE
+from raygrid.host.render.session import RenderSession
 from raygrid.host.scene.load import load_scene
 from raygrid.node.errors import ProtocolError
-from raygrid.node.links.faulty_channel import DELAY, FAULT_KINDS, TICK_MS, FaultPlan, FaultyChannel, parse_fault, tend
+from raygrid.node.links.faulty_channel import (
+    DELAY,
+    FAULT_KINDS,
+    TICK_MS,
+    FaultPlan,
+    FaultyChannel,
+    parse_fault,
+    send_delayed,
+)
 from raygrid.node.links.link import Link, LinkPhase
 from raygrid.node.links.memory_channel import memory_channels
 from raygrid.node.protocol.messages import MessageKind
@@ -85,10 +94,10 @@ def test_delay_is_a_delay():
     clock = Clock()
     channel = FaultyChannel(one, FaultPlan("delay", 1.0), (0,), clock=clock)
     assert channel.send(b"a")
-    assert tend([channel], None) == TICK_MS
+    assert send_delayed([channel], None) == TICK_MS
     assert other.receive() is None
     clock.now += DELAY
-    assert tend([channel], 3) == 3
+    assert send_delayed([channel], 3) == 3
     assert other.receive() == b"a"
 
 
@@ -187,7 +196,7 @@ def test_the_picture_is_right_or_there_is_none(kind):
         pictures = 0
         for _ in range(4):
             try:
-                picture = render_with_retries(array, job(), budget=500, attempts=4)
+                picture = RenderSession(array, attempts=4).render(job(), budget=500)
             except RECOVERABLE as error:
                 assert "\n" not in str(error)
                 array.reset()

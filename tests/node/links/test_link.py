@@ -21,13 +21,7 @@ from support.links import (
 from support.messages import message
 
 from raygrid.node.errors import ProtocolError
-from raygrid.node.links.link import CREDIT as LINK_CREDIT
 from raygrid.node.links.link import (
-    LINK_DATA_DONE,
-    LINK_DATA_SENT,
-    LINK_DATA_TOLD,
-    LINK_RECEIVED,
-    LINK_SENT,
     Link,
     LinkPhase,
 )
@@ -220,9 +214,9 @@ def test_a_message_of_another_epoch_is_counted_and_dropped(wire):
 def test_numbers_run_over_their_end(wire):
     reporter = Talk(wire).up()
     for link in reporter.links:
-        link._link_state[LINK_SENT] = link._link_state[LINK_RECEIVED] = 2**32 - 5
-        for place in (LINK_DATA_SENT, LINK_CREDIT, LINK_DATA_DONE, LINK_DATA_TOLD):
-            link._link_state[place] = 2**32 - 50
+        link._counted.sent = link._counted.received = 2**32 - 5
+        for counter in ("data_sent", "credit", "data_done", "data_told"):
+            setattr(link._counted, counter, 2**32 - 50)
     for number in range(200):
         for link in reporter.links:
             link.send_data(PACKETS, 1, bytes([number]))

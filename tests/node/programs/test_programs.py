@@ -18,7 +18,7 @@ from raygrid.host.render.animation_jobs import jobs_of
 from raygrid.host.render.frame import render_job
 from raygrid.host.render.job import Settings, make_job
 from raygrid.host.render.program_file import read_program
-from raygrid.host.render.retry import render_with_retries
+from raygrid.host.render.session import RenderSession
 from raygrid.host.scene.animation.turntable import turntable
 from raygrid.host.scene.load import load_scene
 from raygrid.node.errors import ArrayError, ProtocolError, SceneError
@@ -265,9 +265,9 @@ def test_processes_and_a_node_that_is_lost():
     job = job_of("marble.toml", (2, 1, 1), MARBLE)
     expected = render_job(in_memory().driver, job_of("marble.toml", (1, 1, 1), MARBLE)).sums
     with Array.launch((2, 1, 1), programs=True, patience=120.0) as array:
-        assert np.array_equal(render_with_retries(array, job).sums, expected)
+        assert np.array_equal(RenderSession(array).render(job).sums, expected)
         os.kill(array.pids[1], signal.SIGKILL)
-        picture = render_with_retries(array, job)
+        picture = RenderSession(array).render(job)
         assert np.array_equal(picture.sums, expected)
         assert len(picture.stats["faults"]) == 1
 

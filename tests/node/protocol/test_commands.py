@@ -15,7 +15,16 @@ from support.space import spaces, uneven_space
 from raygrid.node.errors import ProtocolError
 from raygrid.node.geometry.lattice import LATTICE
 from raygrid.node.geometry.surfaces import MAX_MATERIALS
-from raygrid.node.protocol.commands import frame_order, read_frame, read_space, space_order
+from raygrid.node.protocol.codec import pack_map, read_map
+from raygrid.node.protocol.commands import (
+    TraceCommand,
+    frame_order,
+    read_frame,
+    read_hold,
+    read_space,
+    read_trace,
+    space_order,
+)
 from raygrid.node.protocol.frame_tables import LIGHT_COLUMNS, MATERIAL_COLUMNS, Frame
 from raygrid.node.protocol.messages import MAX_MESSAGE, MessageKind, pack_order, read_order
 from raygrid.node.protocol.packets import MAX_LIGHTS
@@ -187,3 +196,16 @@ def test_any_other_frame_is_read_or_refused(changes):
         return
     assert len(frame.camera) == 6
     assert frame.n_lights <= len(frame.lights)
+
+
+def test_a_command_to_trace_is_read_as_it_was_written():
+    command = TraceCommand(2**32 - 1, hold=0.25, batch_threshold=300, back_off=0.016, flush=4096)
+    assert read_trace(read_map(pack_map(command.as_map()), "a command")) == command
+    assert read_trace({"do": "trace", "quota": 5}) == TraceCommand(5)
+
+
+@pytest.mark.parametrize(
+    ("hold", "seconds"), [(0.5, 0.5), (60.0, 60.0), (60.5, 0.0), (-1.0, 0.0), (1, 0.0), ("x", 0.0)]
+)
+def test_a_hold_that_is_none_is_no_hold(hold, seconds):
+    assert read_hold({"hold": hold}) == seconds

@@ -27,23 +27,13 @@ from raygrid.node.errors import ProtocolError
 from raygrid.node.geometry.grid_walk import HOST
 from raygrid.node.geometry.lattice import HALF
 from raygrid.node.links import zmq_c_api
-from raygrid.node.links.link import (
-    CREDIT,
-    LINK_DATA_DONE,
-    LINK_DATA_SENT,
-    LINK_DATA_TOLD,
-    LINK_RECEIVED,
-    LINK_SENT,
-    REGULAR,
-    SOCKET,
-    Link,
-    LinkPhase,
-)
+from raygrid.node.links.link import Link, LinkPhase
 from raygrid.node.links.memory_channel import memory_channels
 from raygrid.node.links.zmq_channel import ZmqChannel
 from raygrid.node.main import open_links
 from raygrid.node.protocol.messages import HEAD, WINDOW, MessageKind, check_packets
 from raygrid.node.protocol.packets import REFLECTED, SIZE
+from raygrid.node.protocol.reset import NodeConfig
 from raygrid.node.runtime.native_link_table import NativeLinkTable
 from raygrid.node.runtime.processor import Processor
 
@@ -74,7 +64,7 @@ class Bed:
             ZmqChannel(context, f"ipc://{place}", True),
             ZmqChannel(context, f"ipc://{place}", False),
         )
-        low, high = ({"index": index, "machine": "m", "epoch": 3} for index in ([0, 0, 0], [1, 0, 0]))
+        low, high = (NodeConfig(index, (2, 1, 1), 3, "m") for index in ((0, 0, 0), (1, 0, 0)))
         links = open_links(low, {UPWARDS: self.pair, HOST: memory_channels()[0]})
         self.node = Processor((0, 0, 0), SHAPE, links, batch)
         self.link = links[UPWARDS]
@@ -89,7 +79,7 @@ class Bed:
         self.node.node_state.build()
         self.node.node_state.set_frame(scene().frame)
         if link_table:
-            self.node.wire(NativeLinkTable(links, {UPWARDS: self.pair}, self.node.reductions.reduction_state))
+            self.node.use_native_links(NativeLinkTable(links, {UPWARDS: self.pair}, self.node.reductions.reduction))
 
     def until(self, done: Any) -> None:
         """Let both ends take in what comes until something holds."""
@@ -187,7 +177,7 @@ def some_packets(n: int, seed: int = 0) -> list[bytes]:
 
 def messages(link: Link, groups: list[list[bytes]]) -> list[bytes]:
     """PACKETS messages that follow what a link has sent."""
-    first, credit = link.sent, link.data_done
+    first, credit = link.messages_sent, link.data_done
     return [
         message(MessageKind.PACKETS, b"".join(group), len(group), first + k & MASK, credit & MASK, link.epoch)
         for k, group in enumerate(groups)
@@ -198,8 +188,8 @@ def outcome(bed: Bed, raw: list[bytes], taken: int | None = None) -> dict[str, A
     """What becomes of a node to which these messages come."""
     for one in raw:
         assert bed.other.send(one)
-        bed.peer._link_state[LINK_SENT] += 1
-        bed.peer._link_state[LINK_DATA_SENT] += 1
+        bed.peer._counted.sent += 1
+        bed.peer._counted.data_sent += 1
     said = ""
     try:
         bed.work(len(raw) if taken is None else taken)
@@ -209,7 +199,7 @@ def outcome(bed: Bed, raw: list[bytes], taken: int | None = None) -> dict[str, A
         "said": said,
         "refused": dict(bed.node.refused),
         "received": (bed.link.received, bed.link.stale, bed.link.data_done),
-        "credit": bed.link._link_state[CREDIT],
+        "credit": bed.link._counted.credit,
     }
     if said:  # how far it had come with what it had received, is a matter of when that came
         return result
@@ -228,7 +218,7 @@ def test_packets_have_the_same_consequences(beds):
     outcomes = [outcome(bed, messages(bed.peer, groups)) for bed in (plain, link_table)]
     assert outcomes[0] == outcomes[1]
     assert outcomes[1]["received"][2] == len(groups)
-    assert link_table.node.node_state.native.link_states[UPWARDS, LINK_DATA_DONE] == len(groups)
+    assert link_table.node.node_state.native.links[UPWARDS]["data_done"] == len(groups)
     sent = [bed.answers() for bed in (plain, link_table)]
     assert sent[0] == sent[1]
     assert len(sent[1]) > 20
@@ -240,14 +230,16 @@ def test_compiled_code_serves_the_link_and_python_does_not(beds, monkeypatch):
     monkeypatch.setattr(Link, "send_packets", lambda self, *rest: pytest.fail("Python sent"))
     link_table.work(0)  # marks what is regular
     assert outcome(link_table, messages(link_table.peer, [some_packets(50)]))["said"] == ""
-    assert link_table.node.node_state.native.link_states[UPWARDS, SOCKET] == link_table.pair.socket.underlying
-    assert link_table.node.node_state.native.link_states[UPWARDS, REGULAR] == 1
+    assert link_table.node.node_state.native.links[UPWARDS]["socket"] == link_table.pair.socket.underlying
+    assert link_table.node.node_state.native.links[UPWARDS]["regular"] == 1
 
 
 def test_a_link_without_a_socket_of_its_own_is_left_to_python(beds):
     plain, _ = beds()
     plain.link.channel = type("Between", (), {"send": plain.pair.send, "receive": plain.pair.receive})()
-    plain.node.wire(NativeLinkTable(plain.node.links, {UPWARDS: plain.pair}, plain.node.reductions.reduction_state))
+    plain.node.use_native_links(
+        NativeLinkTable(plain.node.links, {UPWARDS: plain.pair}, plain.node.reductions.reduction)
+    )
     assert not plain.node.serves_itself(UPWARDS)
     assert outcome(plain, messages(plain.peer, [some_packets(50)]))["received"][2] == 1
 
@@ -344,9 +336,9 @@ def test_numbers_run_over_their_end(beds):
     for bed in beds():
         bed.work(0)
         for link in (bed.link, bed.peer):
-            link._link_state[LINK_SENT] = link._link_state[LINK_RECEIVED] = 2**32 - 5
-            for place in (LINK_DATA_SENT, CREDIT, LINK_DATA_DONE, LINK_DATA_TOLD):
-                link._link_state[place] = 2**32 - 9
+            link._counted.sent = link._counted.received = 2**32 - 5
+            for counter in ("data_sent", "credit", "data_done", "data_told"):
+                setattr(link._counted, counter, 2**32 - 9)
         outcomes.append(outcome(bed, messages(bed.peer, [some_packets(3, k) for k in range(40)])))
         assert len(bed.answers()) > 20
     assert outcomes[0] == outcomes[1]
@@ -368,13 +360,13 @@ def test_credit_is_told_and_bounds_what_is_sent(beds):
             link_table.peer.grant()
         link_table.node.receive(UPWARDS)
         link_table.node.work()
-        if link_table.link.waiting == 0 and link_table.peer.received == link_table.link.sent:
+        if link_table.link.waiting == 0 and link_table.peer.received == link_table.link.messages_sent:
             break
         link_table._poller.poll(20)
     else:
         pytest.fail("what waits for credit is never sent")
     assert link_table.link.data_sent > 2 * WINDOW
-    assert link_table.peer._link_state[LINK_RECEIVED] == link_table.link.sent
+    assert link_table.peer._counted.received == link_table.link.messages_sent
 
 
 @given(payload=st.binary(max_size=3000), numbers=st.tuples(*[st.integers(0, 2**32 - 1)] * 3))
@@ -382,9 +374,7 @@ def test_credit_is_told_and_bounds_what_is_sent(beds):
 def test_checksums_are_those_of_messages(payload, numbers):
     calls = zmq_c_api.find_functions()
     raw = np.frombuffer(message(3, payload, *numbers), np.uint8)
-    digest = ctypes.CFUNCTYPE(ctypes.c_uint64, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_uint64)(
-        int(calls[zmq_c_api.HASH])
-    )
+    digest = ctypes.CFUNCTYPE(ctypes.c_uint64, ctypes.c_void_p, ctypes.c_size_t, ctypes.c_uint64)(calls.checksum)
     seed = digest(raw.ctypes.data, 16, 0)
     assert digest(raw.ctypes.data + HEAD, len(raw) - HEAD, seed) & 0xFFFFFFFF == int.from_bytes(
         raw[16:20].tobytes(), "little"

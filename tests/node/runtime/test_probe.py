@@ -80,7 +80,7 @@ def busy():
         speaker = Speaker()
         probe = NodeProbe(speaker, clock=lambda: 12.5)
         probe.set_rate(1.0)
-        probe.maybe_speak(processor, 3)
+        probe.maybe_send(processor, 3)
         (words,) = speaker.said
         taken.append((read_sample(processor.index, words), processor.node_state.work_queues.count[:CLASSES].tolist()))
         assert states([processor]) == before, "a sample has changed something"
@@ -141,14 +141,14 @@ def test_a_node_speaks_at_its_rate_and_does_not_make_up_for_what_it_missed():
     assert not probe.wanted
     assert probe.patience(None) is None
     assert probe.patience(0.5) == 0.5
-    probe.maybe_speak(processor, 0)
+    probe.maybe_send(processor, 0)
     assert speaker.said == []
     probe.set_rate(10.0)
     assert probe.wanted
     assert probe.patience(None) == 0.0
     for moment in (0.0, 0.05, 0.1, 0.15, 0.25, 5.0, 5.01, 5.1):
         now = moment
-        probe.maybe_speak(processor, 0)
+        probe.maybe_send(processor, 0)
     assert [words["time"] for words in speaker.said] == [0.0, 0.1, 0.25, 5.0, 5.01, 5.1]
     assert [words["number"] for words in speaker.said] == list(range(6))
     assert probe.patience(3.0) == pytest.approx(0.1, abs=0.02)
@@ -166,7 +166,7 @@ def test_where_nobody_reads_samples_are_dropped_and_counted():
     probe.set_rate(1.0)
     said = 0
     while mine.dropped < 5:
-        probe.maybe_speak(processor, 0)
+        probe.maybe_send(processor, 0)
         now += 1.0
         said += 1
         assert said < 100_000, "a line has no end"
@@ -174,7 +174,7 @@ def test_where_nobody_reads_samples_are_dropped_and_counted():
     while (words := theirs.receive()) is not None:
         heard.append(read_sample((0, 0, 0), words).number)
     assert heard == list(range(said - 5))
-    probe.maybe_speak(processor, 0)
+    probe.maybe_send(processor, 0)
     words = theirs.receive()
     assert words is not None
     assert read_sample((0, 0, 0), words).dropped == 5

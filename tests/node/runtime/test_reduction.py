@@ -26,16 +26,18 @@ from raygrid.node.links import zmq_c_api
 from raygrid.node.links.link import Link, LinkPhase
 from raygrid.node.links.zmq_channel import ZmqChannel
 from raygrid.node.main import open_links
+from raygrid.node.protocol.commands import TraceCommand
 from raygrid.node.protocol.counters import BORN
 from raygrid.node.protocol.messages import HEAD, MessageKind
 from raygrid.node.protocol.packets import PRIMARY
+from raygrid.node.protocol.reset import NodeConfig
 from raygrid.node.runtime import reduction, reduction_replies
-from raygrid.node.runtime.event_loop import BACK_OFFS, TUNE_BACK_OFF, TUNE_FLUSH, TUNE_LEAST
+from raygrid.node.runtime.event_loop import BACK_OFFS
 from raygrid.node.runtime.native_link_table import NativeLinkTable
 from raygrid.node.runtime.processor import Processor
 from raygrid.node.runtime.reduction import (
+    LONGEST_HOLD,
     MOST_BACK_OFF,
-    MOST_HOLD,
     MOST_PACKETS,
     MOST_QUOTA,
     REQUEST_FIELDS,
@@ -47,7 +49,7 @@ from raygrid.node.runtime.reduction_replies import Reductions
 
 NAME, SHAPE = "3x1x1", (3, 1, 1)
 LOW, HIGH = 0, 1  # ports of the node in the middle: to its parent, and to its only child
-PEERS = {LOW: [0, 0, 0], HIGH: [2, 0, 0]}
+PEERS = {LOW: (0, 0, 0), HIGH: (2, 0, 0)}
 TURNS = 2000  # after so many a node is taken to hang
 LONG = 10 * 10**9  # nanoseconds, longer than any test
 pytestmark = pytest.mark.timeout(120)
@@ -57,36 +59,35 @@ pytestmark = pytest.mark.timeout(120)
 orders = st.tuples(
     st.integers(0, 2**31),
     st.integers(0, MOST_QUOTA),
-    st.integers(0, MOST_HOLD),
+    st.integers(0, LONGEST_HOLD),
     st.integers(0, MOST_PACKETS),
     st.integers(0, MOST_BACK_OFF),
     st.integers(1, MOST_PACKETS),
 ).map(list)
 
 
-def tally_bytes(fields: list[int]) -> bytes:
-    """The payload of a TALLY."""
+def request_bytes(fields: list[int]) -> bytes:
+    """The payload of a REDUCE."""
     return np.array(fields, "<i8").tobytes()
 
 
 def test_the_order_to_trace_is_these_numbers():
-    order = {"do": "trace", "quota": 7, "hold": 0.028, "gather": 300, "linger": 0.0008, "flush": 4096}
-    payload = pack_request(5, order)
-    assert payload == tally_bytes([5, 7, 28_000_000, 300, 800, 4096])
-    assert read_request(message(MessageKind.TALLY, payload)) == [5, 7, 28_000_000, 300, 800, 4096]
+    payload = pack_request(5, TraceCommand(7, hold=0.028, batch_threshold=300, back_off=0.0008, flush=4096))
+    assert payload == request_bytes([5, 7, 28_000_000, 300, 800, 4096])
+    assert read_request(message(MessageKind.REDUCE, payload)).numbers() == [5, 7, 28_000_000, 300, 800, 4096]
 
 
 @given(fields=orders)
 @steady(100)
 def test_what_is_in_range_is_read_as_it_was_written(fields):
-    assert read_request(message(MessageKind.TALLY, tally_bytes(fields))) == fields
+    assert read_request(message(MessageKind.REDUCE, request_bytes(fields))).numbers() == fields
 
 
 BAD = {
     "quota": [(1, -1), (1, 2**32)],
-    "hold": [(2, -1), (2, MOST_HOLD + 1)],
-    "gather": [(3, -1), (3, 2**40)],
-    "nap": [(4, -1), (4, MOST_BACK_OFF + 1)],
+    "hold": [(2, -1), (2, LONGEST_HOLD + 1)],
+    "batch threshold": [(3, -1), (3, 2**40)],
+    "back-off": [(4, -1), (4, MOST_BACK_OFF + 1)],
     "flush": [(5, 0), (5, -(2**63))],
 }
 
@@ -95,24 +96,24 @@ BAD = {
 def test_what_is_out_of_range_is_refused(place, value):
     fields = [1, 2, 3, 4, 5, 6]
     fields[place] = value
-    with pytest.raises(ProtocolError, match="wanted number, quota, hold, gather, nap and flush in range"):
-        read_request(message(MessageKind.TALLY, tally_bytes(fields)))
+    with pytest.raises(ProtocolError, match="wanted wave, quota, hold, batch threshold, back-off and flush in range"):
+        read_request(message(MessageKind.REDUCE, request_bytes(fields)))
 
 
 @pytest.mark.parametrize("size", [0, 40, 47, 49, 56])
 def test_another_length_is_refused(size):
     with pytest.raises(ProtocolError, match=f"came with {size} bytes, wanted"):
-        read_request(message(MessageKind.TALLY, bytes(size)))
+        read_request(message(MessageKind.REDUCE, bytes(size)))
     with pytest.raises(ProtocolError, match=f"came with {size} bytes, wanted"):
-        reduction.read_reply(message(MessageKind.TALLIED, bytes(size)))
+        reduction.read_reply(message(MessageKind.REDUCED, bytes(size)))
 
 
 @pytest.mark.parametrize(
     "odd",
-    [{"quota": None}, {"quota": -1}, {"quota": 1.0}, {"gather": 1.5}, {"linger": 2.0}, {"hold": "x"}, {"flush": 0}],
+    [{"quota": -1}, {"quota": 2**64 + 5}, {"batch_threshold": -1}, {"back_off": 2.0}, {"hold": 61.0}, {"flush": 0}],
 )
-def test_an_order_that_is_none_is_no_tally(odd):
-    assert pack_request(1, {"do": "trace", "quota": 5, "flush": 9, **odd}) is None
+def test_a_command_out_of_range_goes_as_a_map(odd):
+    assert pack_request(1, TraceCommand(**({"quota": 5, "flush": 9} | odd))) is None
 
 
 # --- a node between its parent and its child -----------------------------------------------------------
@@ -133,10 +134,10 @@ class Middle:
         self.others = {port: ZmqChannel(context, f"ipc://{place}-{port}", False) for port in PEERS}
         self.node: Processor
         self._link_table: NativeLinkTable | None = None
-        links = open_links({"index": [1, 0, 0], "machine": "m", "epoch": 3}, dict(self.pairs))
+        links = open_links(NodeConfig((1, 0, 0), SHAPE, 3, "m"), self.pairs)
         self.peers: dict[int, Link] = {}
         for port, index in PEERS.items():
-            made = open_links({"index": index, "machine": "m", "epoch": 3}, {port ^ 1: self.others[port]})
+            made = open_links(NodeConfig(index, SHAPE, 3, "m"), {port ^ 1: self.others[port]})
             self.peers[port] = made[port ^ 1]
         self.node = Processor((1, 0, 0), SHAPE, links, 64)
         self._poller = zmq.Poller()
@@ -156,12 +157,12 @@ class Middle:
         self.node.node_state.build()
         self.node.node_state.set_frame(scene().frame)
         if link_table:
-            self._link_table = NativeLinkTable(links, self.pairs, self.node.reductions.reduction_state)
-            self.node.wire(self._link_table)
+            self._link_table = NativeLinkTable(links, self.pairs, self.node.reductions.reduction)
+            self.node.use_native_links(self._link_table)
 
     def say(self, port: int, kind: MessageKind, payload: bytes) -> None:
         """A neighbour says something."""
-        self.peers[port].send_words(kind, payload)
+        self.peers[port].send_payload(kind, payload)
 
     def until(self, done: Any) -> list[tuple[int, MessageKind, bytes]]:
         """Let the node go on until something holds; what its neighbours heard but packets.
@@ -196,7 +197,7 @@ class Middle:
 
 @contextmanager
 def middles() -> Iterator[Any]:
-    """Makes nodes whose tallies Python takes care of (False) or compiled code (True)."""
+    """Makes nodes whose reductions Python takes care of (False) or compiled code (True)."""
     directory, context = tempfile.mkdtemp(prefix="rgtest-", dir="/tmp"), zmq.Context(io_threads=1)
     made: list[Middle] = []
 
@@ -222,7 +223,7 @@ def make() -> Iterator[Any]:
 
 def answered(heard: list[tuple[int, MessageKind, bytes]]) -> bool:
     """Whether the parent has its answer."""
-    return any(kind is MessageKind.TALLIED for _, kind, _ in heard)
+    return any(kind is MessageKind.REDUCED for _, kind, _ in heard)
 
 
 def child_answer(number: int, seed: int = 0) -> bytes:
@@ -234,11 +235,11 @@ def child_answer(number: int, seed: int = 0) -> bytes:
 def test_both_answer_the_same_after_the_same_work(make):
     found = []
     for middle in (make(False), make(True)):
-        middle.say(LOW, MessageKind.TALLY, tally_bytes([4, 200, LONG, 0, 0, 64]))
+        middle.say(LOW, MessageKind.REDUCE, request_bytes([4, 200, LONG, 0, 0, 64]))
         told = middle.until(lambda heard: len(heard) == 1)
-        middle.say(HIGH, MessageKind.TALLIED, child_answer(4))
+        middle.say(HIGH, MessageKind.REDUCED, child_answer(4))
         (answer,) = middle.until(answered)
-        number, sums = reduction.read_reply(message(MessageKind.TALLIED, answer[2]))
+        number, sums = reduction.read_reply(message(MessageKind.REDUCED, answer[2]))
         # of its own it counts what it did; messages are a matter of time
         own = sums - np.random.default_rng(0).integers(0, 2**40, SUMS)
         assert own[: reduction.COUNTS].tolist() == middle.node.node_state.counts.tolist()
@@ -247,8 +248,8 @@ def test_both_answer_the_same_after_the_same_work(make):
         found.append((told, answer[:2], number, own.tolist()))
     assert found[0] == found[1]
     told, answer, number, own = found[1]
-    assert told == [(HIGH, MessageKind.TALLY, tally_bytes([4, 200, LONG, 0, 0, 64]))]
-    assert (answer, number) == ((LOW, MessageKind.TALLIED), 4)
+    assert told == [(HIGH, MessageKind.REDUCE, request_bytes([4, 200, LONG, 0, 0, 64]))]
+    assert (answer, number) == ((LOW, MessageKind.REDUCED), 4)
     assert own[BORN + PRIMARY] == 200
     assert own[reduction.HOMES_LEFT] == 1
 
@@ -257,40 +258,46 @@ def test_both_answer_the_same_after_the_same_work(make):
 def test_compiled_code_does_it_and_python_does_not(make, monkeypatch):
     middle = make(True)
     monkeypatch.setattr(reduction_replies, "pack_reply", lambda *rest: pytest.fail("Python answered"))
-    monkeypatch.setattr(Reductions, "tell_children", lambda self: pytest.fail("Python told"))
+    monkeypatch.setattr(Reductions, "notify_children", lambda self: pytest.fail("Python told"))
     monkeypatch.setattr(Processor, "receive", lambda self, port: pytest.fail("Python received"))
     monkeypatch.setattr(Processor, "serves_itself", lambda self, port: True)
-    middle.say(LOW, MessageKind.TALLY, tally_bytes([9, 50, LONG, 300, 800, 17]))
+    middle.say(LOW, MessageKind.REDUCE, request_bytes([9, 50, LONG, 300, 800, 17]))
     middle.until(lambda heard: len(heard) == 1)
-    middle.say(HIGH, MessageKind.TALLIED, child_answer(9))
+    middle.say(HIGH, MessageKind.REDUCED, child_answer(9))
     middle.until(answered)
     tuning = middle.node.node_state.tuning
-    assert (tuning[TUNE_LEAST], tuning[TUNE_BACK_OFF], tuning[TUNE_FLUSH]) == (300, 800 // BACK_OFFS, 17)
+    assert (tuning.batch_threshold, tuning.back_off, tuning.flush) == (300, 800 // BACK_OFFS, 17)
 
 
 def spoil(fields: list[int], place: int, value: int) -> bytes:
-    """A tally with another number in it."""
+    """A request with another number in it."""
     changed = list(fields)
     changed[place] = value
-    return tally_bytes(changed)
+    return request_bytes(changed)
 
 
 GOOD = [4, 200, LONG, 0, 0, 64]
 ODD = {
-    "a second tally": [(LOW, MessageKind.TALLY, tally_bytes(GOOD)), (LOW, MessageKind.TALLY, tally_bytes(GOOD))],
+    "a second request": [
+        (LOW, MessageKind.REDUCE, request_bytes(GOOD)),
+        (LOW, MessageKind.REDUCE, request_bytes(GOOD)),
+    ],
     "an order beside it": [
-        (LOW, MessageKind.TALLY, tally_bytes(GOOD)),
+        (LOW, MessageKind.REDUCE, request_bytes(GOOD)),
         (LOW, MessageKind.DOWN, b"\x81\xa2do\xa5ready"),
     ],
-    "a tally from a child": [(HIGH, MessageKind.TALLY, tally_bytes(GOOD))],
-    "an answer from the parent": [(LOW, MessageKind.TALLIED, child_answer(4))],
-    "an answer to nothing": [(HIGH, MessageKind.TALLIED, child_answer(4))],
-    "an answer to another": [(LOW, MessageKind.TALLY, tally_bytes(GOOD)), (HIGH, MessageKind.TALLIED, child_answer(5))],
-    "too short": [(LOW, MessageKind.TALLY, tally_bytes(GOOD)[:-8])],
-    "too long": [(LOW, MessageKind.TALLY, tally_bytes([*GOOD, 0]))],
-    "an empty answer": [(LOW, MessageKind.TALLY, tally_bytes(GOOD)), (HIGH, MessageKind.TALLIED, b"")],
+    "a request from a child": [(HIGH, MessageKind.REDUCE, request_bytes(GOOD))],
+    "an answer from the parent": [(LOW, MessageKind.REDUCED, child_answer(4))],
+    "an answer to nothing": [(HIGH, MessageKind.REDUCED, child_answer(4))],
+    "an answer to another": [
+        (LOW, MessageKind.REDUCE, request_bytes(GOOD)),
+        (HIGH, MessageKind.REDUCED, child_answer(5)),
+    ],
+    "too short": [(LOW, MessageKind.REDUCE, request_bytes(GOOD)[:-8])],
+    "too long": [(LOW, MessageKind.REDUCE, request_bytes([*GOOD, 0]))],
+    "an empty answer": [(LOW, MessageKind.REDUCE, request_bytes(GOOD)), (HIGH, MessageKind.REDUCED, b"")],
     **{
-        f"{name} {value}": [(LOW, MessageKind.TALLY, spoil(GOOD, place, value))]
+        f"{name} {value}": [(LOW, MessageKind.REDUCE, spoil(GOOD, place, value))]
         for name, cases in BAD.items()
         for place, value in cases
     },
@@ -317,11 +324,11 @@ def test_it_is_answered_when_all_is_done(make):
         middle = make(link_table)
         packets = [return_bytes(1, k % 400, (0.5, 1.5, 0.0), (1, 0, 0)) for k in range(300)]
         middle.peers[LOW].send_data(MessageKind.PACKETS, len(packets), b"".join(packets))
-        middle.say(LOW, MessageKind.TALLY, tally_bytes([4, 20_000, LONG, 0, 0, 64]))
+        middle.say(LOW, MessageKind.REDUCE, request_bytes([4, 20_000, LONG, 0, 0, 64]))
         middle.until(lambda heard: len(heard) == 1)
-        middle.say(HIGH, MessageKind.TALLIED, reduction.pack_reply(4, np.zeros(SUMS, np.int64)))
+        middle.say(HIGH, MessageKind.REDUCED, reduction.pack_reply(4, np.zeros(SUMS, np.int64)))
         (answer,) = middle.until(answered)
-        _, sums = reduction.read_reply(message(MessageKind.TALLIED, answer[2]))
+        _, sums = reduction.read_reply(message(MessageKind.REDUCED, answer[2]))
         assert (sums[reduction.SUM_WAITING], sums[reduction.HOMES_LEFT]) == (0, 0)
 
 
@@ -330,31 +337,31 @@ def test_a_node_that_is_never_idle_answers_at_the_deadline_and_not_before(make, 
     monkeypatch.setattr(Processor, "_idle", lambda self: False)
     monkeypatch.setattr(Processor, "_is_occupied", property(lambda self: True))
     middle = make(link_table)
-    state = middle.node.reductions.reduction_state.state
+    state = middle.node.reductions.state
     for number, hold in ((4, 0), (5, LONG)):
-        middle.say(LOW, MessageKind.TALLY, tally_bytes([number, 50, hold, 0, 0, 64]))
-        middle.until(lambda heard: any(kind is MessageKind.TALLY for _, kind, _ in heard))
-        middle.say(HIGH, MessageKind.TALLIED, child_answer(number))
+        middle.say(LOW, MessageKind.REDUCE, request_bytes([number, 50, hold, 0, 0, 64]))
+        middle.until(lambda heard: any(kind is MessageKind.REDUCE for _, kind, _ in heard))
+        middle.say(HIGH, MessageKind.REDUCED, child_answer(number))
         if hold:
-            middle.until(lambda heard: state[reduction.REPLIED] == state[reduction.CHILD_PORTS])
+            middle.until(lambda heard: state.replied == state.child_ports)
             for _ in range(20):
                 middle.node.work()
-            assert state[reduction.PENDING]
-            state[reduction.DEADLINE] = 0
+            assert state.pending
+            state.deadline = 0
         assert answered(middle.until(answered))
 
 
 def test_before_a_frame_it_is_refused(make):
     middle = make(False)
     middle.node.node_state.forget_frame()
-    middle.say(LOW, MessageKind.TALLY, tally_bytes(GOOD))
+    middle.say(LOW, MessageKind.REDUCE, request_bytes(GOOD))
     middle.until(lambda heard: len(heard) == 1)
     assert list(middle.node.refused) == ["node (1, 0, 0): the order 'trace' came before a frame"]
 
 
 @given(fields=orders, wrong=st.integers(0, REQUEST_FIELDS * 8 + HEAD - 1), value=st.integers(0, 255))
 @steady(15)
-def test_any_tally_has_the_same_consequences(fields, wrong, value):
+def test_any_request_has_the_same_consequences(fields, wrong, value):
     """Sound ones and spoilt ones, with their own checksums."""
     outcomes = []
     with middles() as maker:
@@ -362,11 +369,13 @@ def test_any_tally_has_the_same_consequences(fields, wrong, value):
             middle = maker(link_table)
             middle.node.work()
             link = middle.peers[LOW]
-            raw = bytearray(message(MessageKind.TALLY, tally_bytes(fields), 0, link.sent, link.data_done, link.epoch))
+            raw = bytearray(
+                message(MessageKind.REDUCE, request_bytes(fields), 0, link.sent, link.data_done, link.epoch)
+            )
             raw[wrong] = value
             assert middle.others[LOW].send(sealed(bytes(raw)))
             state, taken = (
-                middle.node.reductions.reduction_state.state,
+                middle.node.reductions.state,
                 middle.node.links[LOW].received + middle.node.links[LOW].stale,
             )
             said = ""
@@ -374,8 +383,8 @@ def test_any_tally_has_the_same_consequences(fields, wrong, value):
                 middle.until(lambda heard, m=middle, t=taken: m.node.links[LOW].received + m.node.links[LOW].stale > t)
             except ProtocolError as error:
                 said = str(error)
-            pending = [int(state[place]) for place in (reduction.PENDING, reduction.CURRENT, reduction.REPLIED)]
+            pending = [state.pending, state.wave, state.replied]
             outcomes.append(
-                (said, pending, middle.node.reductions.reduction_state.order.tolist(), middle.node.links[LOW].stale)
+                (said, pending, middle.node.reductions.reduction.request.tolist(), middle.node.links[LOW].stale)
             )
     assert outcomes[0] == outcomes[1]

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image, PngImagePlugin
-from support import paths
 from support.cli import here, one_line, warm_kernels
+from support.paths import ROOT
 from support.render import SCENES
 
 from raygrid.emulator.driver.driver import Progress
@@ -292,7 +292,8 @@ def test_a_film_on_a_disk_without_room(tmp_path, ffmpeg):
     if shutil.which("unshare") is None or subprocess.run([*own, mounted], capture_output=True).returncode != 0:
         pytest.skip("no file system can be mounted here")
     film = f"{disk}/a.mp4"
-    code = f"import sys; sys.path[:0] = [{str(Path(__file__).parent)!r}, {str(paths.ROOT / 'tests')!r}]; import test_command_frames as t; t.play({film!r}, t.noise(8, (200, 100)))"
+    here_too = [str(Path(__file__).parent), str(ROOT / "tests")]
+    code = f"import sys; sys.path[:0] = {here_too!r}; import test_frames as t; t.play({film!r}, t.noise(8, (200, 100)))"
     command = f"{mounted} {sys.executable} -c '{code.replace(chr(39), chr(34))}' || true; ls -A {disk}"
     done = subprocess.run([*own, command], capture_output=True, text=True, timeout=120)
     assert re.search(r"OutputError: .*a.mp4: .*(No space left on device|ffmpeg has failed)", done.stderr), done.stderr

@@ -46,13 +46,18 @@ def test_status_says_so(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("broken", "why"),
     [
-        ("native._FROM_ZEROMQ = {0: 'zmq_no_such_function'}", "zmq_no_such_function"),
-        ("native._CHECKSUMS = ('XXH_no_such_function',)", "no checksum of xxhash"),
-        ("native._library_of = lambda module: native.importlib.import_module('no_such_module')", "no_such_module"),
+        ("zmq_c_api._FROM_ZEROMQ = {'send': 'zmq_no_such_function'}", "zmq_no_such_function"),
+        ("zmq_c_api._CHECKSUMS = ('XXH_no_such_function',)", "no checksum of xxhash"),
+        (
+            "zmq_c_api._library_of = lambda module: zmq_c_api.importlib.import_module('no_such_module')",
+            "no_such_module",
+        ),
     ],
 )
 def test_what_is_not_found_is_named(broken, why):
-    code = f"from raygrid.node import native\n{broken}\nprint(native.find_functions(), native.why_python())"
+    code = (
+        f"from raygrid.node.links import zmq_c_api\n{broken}\nprint(zmq_c_api.find_functions(), zmq_c_api.why_python())"
+    )
     environment = {key: value for key, value in os.environ.items() if key != zmq_c_api.SWITCH}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, env=environment)
     assert done.stdout.startswith("None a C function of pyzmq or xxhash cannot be found: "), done.stderr
