@@ -31,7 +31,7 @@ with launch(shape) as machine:
         seen += phase == "trace" and progress is not None
         if phase == moment and (phase != "trace" or seen == int(nth)):
             tell()
-    print(*machine.pids, machine._array._nursery.pid, machine._array._place.path, flush=True)
+    print(*machine.pids, machine._array._fork_server.pid, machine._array._place.path, flush=True)
     if moment == "idle":
         tell()
     width, height, samples, budget = map(int, numbers)

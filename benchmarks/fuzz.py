@@ -35,7 +35,7 @@ import zmq
 from faults_bed import SMALL, job, right, truth
 from faults_links import _babble, intruder
 
-from raygrid.emulator.driver.driver import Progress
+from raygrid.emulator.driver.admission import Progress
 from raygrid.emulator.processes.array import Array
 from raygrid.host.render.retry import RECOVERABLE
 from raygrid.host.render.session import RenderSession
@@ -178,7 +178,7 @@ class Fuzz:
     def send_words(self, count: int) -> None:
         """Anything on the lines; never a reset that could be obeyed."""
         assert self.array._node_processes is not None
-        lines = self.array._node_processes.lines
+        lines = self.array._node_processes.control_channels
         for index in list(self.array._node_processes.pids):
             line = lines._lines[index]
             for _ in range(count):

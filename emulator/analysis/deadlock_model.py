@@ -1,20 +1,20 @@
-"""The naive machine: finite buffers and no admission, to see how and why it jams.
+"""Models the naive machine, with finite buffers and no admission, to see how and why it deadlocks.
 
 The nodes run the machine's own ray step, one packet a turn, in one process and in a fixed order, so the same frame always
-jams in the same way. What differs from raygrid is only what is said here:
+deadlocks in the same way. What differs from raygrid is only what is said here:
 
 - Each link has, each way, a buffer of `room` packets at its receiving end, and nothing more.
-- A node serves its inputs in turn: each port's buffer first in first out, what was born in it and starts in it, and its
+- A node serves its inputs in turn: each port's buffer first in first out, what was made in it and starts in it, and its
   next primary ray. What its step puts out it must place before it takes anything else. It waits ("blocks") as long
   as the buffer of the next packet to be placed is full.
-- What a node has born to itself waits in memory without a bound, so that no node ever waits for itself: every jam seen
-  here is one of links.
+- What a node has made for itself waits in memory without a bound, so that no node ever waits for itself: every deadlock
+  seen here is one of links.
 - Without admission a primary ray is born whenever its turn comes. With admission only while fewer than `budget` primary
   rays have living descendants in the whole array.
 
 A blocked node waits for exactly one neighbour, so from any node that can never go on a chain of waiting leads into a
 cycle. Packets of all trees alive are at most `budget` times what a tree can have alive at once (`emulator.topology.bounds`); if
-that is not above `room`, no buffer can ever be full, no node blocks, and no jam is possible.
+that is not above `room`, no buffer can ever be full, no node blocks, and no deadlock is possible.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from raygrid.emulator.analysis.single_step import SingleStep
 from raygrid.emulator.topology.bounds import growth_of
-from raygrid.emulator.topology.topology import Index, indices
+from raygrid.emulator.topology.coordinates import Index, beyond, indices
 from raygrid.node.errors import ArrayError, SceneError
 from raygrid.node.geometry import OPPOSITE, PORTS, SELF, Space, SurfaceSet
 from raygrid.node.protocol import BORN, DIED, PRIMARY, RETURN, Frame, PacketKind
@@ -182,7 +182,7 @@ class NaiveMachine:
     def _next_primary(self, node: _Node) -> bytes | None:
         if node.exhausted or (self._budget is not None and len(self._alive) >= self._budget):
             return None
-        packet = self._steps.bear_next(node.index)
+        packet = self._steps.emit_next(node.index)
         if packet is None:
             node.exhausted = True
             return None
@@ -214,7 +214,7 @@ class NaiveMachine:
 
     def _behind(self, index: Index, port: int) -> deque[bytes]:
         """The buffer at the other end of a link."""
-        return self._nodes[_neighbour(index, port)].inputs[OPPOSITE[port]]
+        return self._nodes[beyond(index, port)].inputs[OPPOSITE[port]]
 
     # --- who waits for whom --------------------------------------------------------------------------
 
@@ -228,7 +228,7 @@ class NaiveMachine:
             node = first
             while self._is_blocked(node) and node.index not in chain:
                 chain.append(node.index)
-                node = self._nodes[_neighbour(node.index, node.held[0][0])]
+                node = self._nodes[beyond(node.index, node.held[0][0])]
             if node.index in chain:
                 return [self._waiting(self._nodes[index]) for index in chain[chain.index(node.index) :]]
         return []
@@ -237,7 +237,7 @@ class NaiveMachine:
         port = node.held[0][0]
         ahead = Counter(PacketKind(packet[0] & 7).name.lower() for packet in self._behind(node.index, port))
         queued = [len(queue) for queue in node.inputs]
-        return Waiting(node.index, port, _neighbour(node.index, port), len(node.held), dict(ahead), queued)
+        return Waiting(node.index, port, beyond(node.index, port), len(node.held), dict(ahead), queued)
 
 
 def surely_free(frame: Frame, room: int) -> int:
@@ -247,9 +247,3 @@ def surely_free(frame: Frame, room: int) -> int:
 
 def _by_kind(counts: NDArray[np.int64], first: int) -> dict[str, int]:
     return {PacketKind(kind).name.lower(): int(counts[first + kind]) for kind in range(PRIMARY, RETURN + 1)}
-
-
-def _neighbour(index: Index, port: int) -> Index:
-    there = list(index)
-    there[port >> 1] += 1 if port & 1 else -1
-    return there[0], there[1], there[2]

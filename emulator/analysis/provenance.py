@@ -1,6 +1,6 @@
-"""Provenance: the tree of rays that one sample makes, with every cell that each of them crossed.
+"""Follows the tree of rays that one sample makes, with every cell that each of them crosses: its provenance.
 
-A sample's primary ray is borne at its home and handed through the nodes' own step, one packet at a time, so whose child
+A sample's primary ray is emitted at its home and handed through the nodes' own step, one packet at a time, so whose child
 each packet is, is known and not guessed. What the step does not say (which surface was met, and where) is asked again of
 the same node's tables (`emulator.analysis.requery`); where the two do not agree, ArrayError is raised.
 """
@@ -15,7 +15,7 @@ import numpy as np
 
 from raygrid.emulator.analysis.requery import begin, carries_home, find_hit, sees_outside
 from raygrid.emulator.analysis.single_step import Served, SingleStep, Units
-from raygrid.emulator.topology.topology import Index
+from raygrid.emulator.topology.coordinates import Index, beyond
 from raygrid.node.errors import ArrayError, SceneError
 from raygrid.node.geometry import DEPTH, HALF, OPPOSITE, PORTS, SELF, Space, SurfaceSet
 from raygrid.node.protocol import (
@@ -70,7 +70,7 @@ class Ray:
     origin     where it starts, a lattice point; direction: unit vector (a shadow ray's: towards its light)
     weight     of a ray: what it adds of what it sees; of a shadow ray: the intensity that it adds
     cells      where it was born, and all to which it was handed, in order
-    start      place in `cells` of the cell that holds its origin: rounding may put that beside the birth cell
+    start      place in `cells` of the cell that holds its origin: rounding may put that beside the cell where it was made
     met        the surface at which it ended, or None
     left       whether it left the world (a shadow ray: reached its light, which may be out there)
     inside     whether it is in the place of a refracted ray, all of which is reflected (total internal reflection)
@@ -145,44 +145,44 @@ class Provenance:
             return SampleTree(number, (int(red), int(green), int(blue)), None)
         index = (int(home[0]), int(home[1]), int(home[2]))
         before = self._steps.stored(index, pixel)
-        packet = self._steps.bear(index, sample)
+        packet = self._steps.emit(index, sample)
         if packet is None:
-            raise ArrayError(f"sample {number} of pixel {pixel} has its home at {index}, which does not bear it")
+            raise ArrayError(f"sample {number} of pixel {pixel} has its home at {index}, which does not emit it")
         root = self._record(packet, index)
         waiting, rays = [_InTransit(packet, index, SELF, root)], 1
         while waiting:
-            flying = waiting.pop()
-            children = self._follow(flying)
+            transit = waiting.pop()
+            children = self._follow(transit)
             rays += len(children)
             if rays > self._most_rays:
                 raise SceneError(
                     f"sample {number} of pixel {pixel} makes more than {self._most_rays:,} rays, wanted fewer: "
                     "a smaller depth or a larger least weight prunes its tree"
                 )
-            flying.ray.children = [child.ray for child in children]
+            transit.ray.children = [child.ray for child in children]
             waiting += children
         after = self._steps.stored(index, pixel)
         self._check_conserved()
         return SampleTree(number, (after[0] - before[0], after[1] - before[1], after[2] - before[2]), root)
 
-    def _follow(self, flying: _InTransit) -> list[_InTransit]:
-        """Hand one packet from node to node until it dies; what it gave birth to."""
-        ray, walked = flying.ray, False
+    def _follow(self, transit: _InTransit) -> list[_InTransit]:
+        """Hand one packet from node to node until it dies; what it made."""
+        ray, walked = transit.ray, False
         while True:
-            if ray.cells[-1] != flying.index:
-                ray.cells.append(flying.index)
-            served = self._steps.serve(flying.index, flying.packet, flying.port)
+            if ray.cells[-1] != transit.index:
+                ray.cells.append(transit.index)
+            served = self._steps.serve(transit.index, transit.packet, transit.port)
             if served.counts[WALKS] and not walked:
                 walked, ray.start = True, len(ray.cells) - 1
             if served.counts[DIED + ray.kind]:
-                return self._ended(flying, served)
-            ((output, flying.packet),) = served.out
-            flying.index, flying.port = _over(flying.index, output)
+                return self._ended(transit, served)
+            ((output, transit.packet),) = served.out
+            transit.index, transit.port = _over(transit.index, output)
 
-    def _ended(self, flying: _InTransit, served: Served) -> list[_InTransit]:
+    def _ended(self, transit: _InTransit, served: Served) -> list[_InTransit]:
         """Write down how a ray ended."""
-        ray, index = flying.ray, flying.index
-        item, surface, material, t, point, direction, inside, _ = self._look(flying)
+        ray, index = transit.ray, transit.index
+        item, surface, material, t, point, direction, inside, _ = self._look(transit)
         ray.direction = _vector(direction)
         hit, returned = bool(served.counts[HITS]), bool(served.counts[BORN + RETURN])
         if ray.kind == SHADOW:
@@ -194,7 +194,7 @@ class Provenance:
         else:
             ray.left = True
         if returned:
-            ray.came_back = self._returned(flying, served)
+            ray.came_back = self._returned(transit, served)
             return []
         children = [self._child(index, output, packet) for output, packet in served.out]
         children.sort(key=lambda child: (child.ray.kind != SHADOW, child.ray.light or 0, child.ray.kind))
@@ -203,14 +203,14 @@ class Provenance:
             turned[-1].ray.inside = turned[-1].ray.weight == ray.weight
         return children
 
-    def _returned(self, flying: _InTransit, served: Served) -> CameBack:
+    def _returned(self, transit: _InTransit, served: Served) -> CameBack:
         """Hand a return packet to its home. Raises ArrayError if that adds something else than it carries."""
-        index, pixel = flying.index, decode(flying.packet).number // self.frame.samples
+        index, pixel = transit.index, decode(transit.packet).number // self.frame.samples
         cells = [index]
         if not served.out:  # it was at home where it was born, and is in the store already
-            intensity = _vector(flying.ray.weight)
-            if flying.ray.kind != SHADOW:
-                intensity = _vector(carries_home(self.frame, np.frombuffer(bytearray(flying.packet), np.uint8)))
+            intensity = _vector(transit.ray.weight)
+            if transit.ray.kind != SHADOW:
+                intensity = _vector(carries_home(self.frame, np.frombuffer(bytearray(transit.packet), np.uint8)))
             return CameBack(intensity, _fixed(intensity), cells)
         ((output, packet),) = served.out
         intensity = _vector(decode(packet).values)
@@ -241,9 +241,9 @@ class Provenance:
         ray.cells.append(index)
         return ray
 
-    def _look(self, flying: _InTransit) -> tuple[Any, ...]:
-        node = self._steps.nodes[flying.index]
-        packet = np.frombuffer(bytearray(flying.packet), np.uint8)
+    def _look(self, transit: _InTransit) -> tuple[Any, ...]:
+        node = self._steps.nodes[transit.index]
+        packet = np.frombuffer(bytearray(transit.packet), np.uint8)
         found: tuple[Any, ...] = find_hit(
             node.cell, self.space, node.frame, node.surfaces, packet, self._stack, self._scratch
         )
@@ -261,9 +261,7 @@ def _over(index: Index, output: int) -> tuple[Index, int]:
     """Where a packet on this output arrives, and by which port."""
     if output >= PORTS:
         return index, SELF
-    there = list(index)
-    there[output >> 1] += 1 if output & 1 else -1
-    return (there[0], there[1], there[2]), OPPOSITE[output]
+    return beyond(index, output), OPPOSITE[output]
 
 
 def _vector(values: Iterable[float]) -> Vector:

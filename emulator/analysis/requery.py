@@ -1,4 +1,4 @@
-"""What the ray step found, asked again of the same tables by the same functions. For explanations, never for pictures."""
+"""Asks the same tables again, by the same functions, what the ray step found. For explanations, never for pictures."""
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
 # kernels: numba infers their types

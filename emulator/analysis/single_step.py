@@ -1,4 +1,4 @@
-"""One packet through one node at a time: the ray step under a magnifying glass.
+"""Hands one packet at a time to one node: the ray step under a magnifying glass.
 
 The nodes of an array in memory are loaded by flooding as ever, but not run: each packet is handed to the step alone, so
 what comes out of it is known to be its own. Provenance (`emulator.analysis.provenance`) and the model of the naive machine
@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.emulator.driver.memory_array import MemoryArray
+from raygrid.emulator.topology.coordinates import Index
 from raygrid.emulator.topology.limits import read_resources
-from raygrid.emulator.topology.topology import Index
 from raygrid.node.errors import TooLarge
 from raygrid.node.geometry import DEPTH, Space, SurfaceSet
 from raygrid.node.protocol import COUNTS, HEAD, SIZE, Frame, frame_order
@@ -30,7 +30,7 @@ Units = tuple[int, int, int]
 class Served(NamedTuple):
     """What a step made of one packet.
 
-    out     (output, packet), in the order of outputs, on one output in the order of birth
+    out     (output, packet), in the order of outputs, on one output in the order in which they were made
     counts  int64 (COUNTS,): what it counted
     """
 
@@ -79,8 +79,8 @@ class SingleStep:
         outputs.held[:] = 0
         return Served(out, node.counts - before)
 
-    def bear(self, index: Index, sample: int) -> bytes | None:
-        """The primary ray of a sample, born at this node; None if its home is elsewhere."""
+    def emit(self, index: Index, sample: int) -> bytes | None:
+        """The primary ray of a sample, emitted at this node; None if its home is elsewhere."""
         node, frame = self.nodes[index], self.frame
         pixel, number = divmod(sample, frame.samples)
         j, i = divmod(pixel, frame.width)
@@ -90,7 +90,7 @@ class SingleStep:
         )
         return packet.tobytes() if made else None
 
-    def bear_next(self, index: Index) -> bytes | None:
+    def emit_next(self, index: Index) -> bytes | None:
         """The primary ray of this home's next sample, coarse to fine; None if none is left."""
         node = self.nodes[index]
         if node.cursor[DONE]:

@@ -1,4 +1,4 @@
-"""The pixels of a pass as they come to the host: exact sums, and how many samples each pixel has.
+"""Collects the pixels of a pass as they come to the host: exact sums, and how many samples each pixel has.
 
 Fresh memory is dear: on a virtual machine it may take longer to get a page than to fill it. So there is no more of it than
 needed, and it can be touched piece by piece while the nodes trace and the host has nothing else to do.

@@ -1,4 +1,4 @@
-"""What the host says to an array through its corners: load, trace, collect, end. No processes, no sockets.
+"""Drives an array through its corners: loads, traces, collects, ends. Knows no processes and no sockets.
 
 The driver owns the host's end of the corner links and a `pump`, which waits for messages (real array) or
 runs the nodes (in-memory array) and then lets the driver receive.
@@ -8,26 +8,26 @@ from __future__ import annotations
 
 import os
 import time
-from collections import deque
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raygrid.emulator.driver.admission import EAGER_FLUSH, Progress, batching, next_quota
 from raygrid.emulator.driver.collector import Collected, Samples
+from raygrid.emulator.driver.dealing import deal_surfaces
 from raygrid.emulator.driver.increments import HeldSurfaces, check_moves, increment
+from raygrid.emulator.topology.coordinates import name_of
 from raygrid.node.errors import ArrayError, Garbled, ProtocolError, SceneError, Stuck
-from raygrid.node.geometry import Batch, Moves, Space, SurfaceSet, corners, groups_order, placed
+from raygrid.node.geometry import Moves, Space, SurfaceSet, groups_order
 from raygrid.node.links import Link, LinkPhase
 from raygrid.node.programs import Program, program_order
 from raygrid.node.protocol import (
     BORN,
     DIED,
-    KINDS,
     PIXEL,
-    PRIMARY,
     Frame,
     MessageKind,
     TraceCommand,
@@ -41,49 +41,20 @@ from raygrid.node.runtime import (
     ALLOWED,
     COLLECTING,
     HANDED_ON,
-    HOMES_LEFT,
     REFUSED,
     SUM_DATA_DONE,
     SUM_DATA_SENT,
     SUM_RECEIVED,
     SUM_WAITING,
     pack_request,
-    pieces,
     read_reply,
     read_sums,
 )
 
-CHUNK_BYTES = 1 << 16  # surfaces in a message
-LOOKED_AT = 1 << 16  # surfaces that are dealt before somebody who gives the frame up is heard
 BUDGET = 1 << 20  # packets in flight below which primaries are admitted, and so the most primaries alive (`bounds`)
 PATIENCE = 30.0  # seconds without any progress after which the array is taken to hang
 HOLD = 0.02  # seconds for which a busy node may hold a wave, and a millisecond more for every node
-# seconds that a node waits for more packets: so long for every node that a processor of this computer carries, once more
-# for so many packets under way; at most
-BACK_OFF, PACKETS_A_BACK_OFF, LONGEST_BACK_OFF = 0.0002, 1 << 19, 0.016
-BATCH_SHARE = 0.25  # part of the mean share of packets that it waits for
-EAGER_FLUSH, CROWDED_FLUSH = 256, 4096  # packets for which a node with work sends an output
 PROGRAM_SECONDS = 600.0  # one process compiles a program, which takes half a minute on an idle computer
-LEAST_SHARE = 256  # packets a node below which nobody waits
-
-
-@dataclass(frozen=True)
-class Progress:
-    """State of a pass as the last wave found it. born, died: by packet kind."""
-
-    born: tuple[int, ...]
-    died: tuple[int, ...]
-    homes_left: int
-
-    @property
-    def in_flight(self) -> int:
-        """Packets born and not yet dead."""
-        return sum(self.born) - sum(self.died)
-
-    @property
-    def primaries(self) -> int:
-        """Samples admitted so far."""
-        return self.born[PRIMARY]
 
 
 class Driver:
@@ -257,7 +228,7 @@ class Driver:
         if moves is not None and moves.groups.many:
             self.wave(groups_order(moves))
         dealt = 0
-        for corner, batch in _deal(surfaces, corners(self.shape), moves, self._look_up):
+        for corner, batch in deal_surfaces(surfaces, self.shape, moves, self._look_up):
             link = self.links[corner]
             link.send_data(MessageKind.SURFACES, len(batch), pack_surfaces(corner, batch))
             dealt += len(batch)
@@ -330,7 +301,7 @@ class Driver:
         moved = time.monotonic()
         self.most_in_flight = 0
         while True:
-            now = _progress(answer["sums"])
+            now = Progress.of(answer["sums"])
             self.most_in_flight = max(self.most_in_flight, now.in_flight)
             if progress is not None:
                 progress(now)
@@ -341,29 +312,13 @@ class Driver:
                 return now
             elif time.monotonic() - moved > self.patience:
                 raise Stuck(self._why_stuck(now))
-            quota = _quota(budget, now, before, answer["sums"][ALLOWED])
+            quota = next_quota(budget, now, before, answer["sums"][ALLOWED])
             before = now
-            answer = self.wave(replace(self._tuning(now), quota=quota, hold=hold))
-
-    def _tuning(self, now: Progress) -> TraceCommand:
-        """How many packets are worth a batch, and how long a node may wait for them.
-
-        With more nodes than processors of this computer, a node that wakes for every message does little but wake.
-        A node waits for a part of the mean share, so some node always has enough; the tail of a pass waits for nothing.
-        Fewer and larger messages cost less, and the more there is to do, the less it matters when they come.
-        """
-        share = now.in_flight // self.nodes
-        if self.nodes <= self._processors or share < LEAST_SHARE:
-            return TraceCommand(0, flush=EAGER_FLUSH)
-        back_off = BACK_OFF * self.nodes / self._processors * (1.0 + now.in_flight / PACKETS_A_BACK_OFF)
-        return TraceCommand(
-            0, batch_threshold=int(share * BATCH_SHARE), back_off=min(LONGEST_BACK_OFF, back_off), flush=CROWDED_FLUSH
-        )
+            command = batching(now.in_flight, self.nodes, self._processors)
+            answer = self.wave(replace(command, quota=quota, hold=hold))
 
     def _why_stuck(self, now: Progress) -> str:
-        waiting = [
-            f"{','.join(map(str, node['index']))} holds {node['waiting']}" for node in self.report() if node["waiting"]
-        ]
+        waiting = [f"{name_of(node['index'])} holds {node['waiting']}" for node in self.report() if node["waiting"]]
         return (
             f"no counter moved for {self.patience:g} seconds with {now.in_flight} packets in flight and "
             f"{now.homes_left} homes with samples left; " + ("; ".join(waiting[:8]) or "no node holds a packet")
@@ -408,61 +363,3 @@ class Driver:
         self._wait(
             lambda: all(link.state == LinkPhase.CLOSED for link in self.links.values()), "the corners say goodbye"
         )
-
-
-def _progress(sums: list[int]) -> Progress:
-    return Progress(
-        tuple(sums[BORN : BORN + KINDS]),
-        tuple(sums[DIED : DIED + KINDS]),
-        sums[HOMES_LEFT],
-    )
-
-
-def _quota(budget: int, now: Progress, before: Progress | None, allowed: int) -> int:
-    """How many primaries each home may bear next, if it may not bear more than that already.
-
-    What a wave counts is no picture of one moment: a packet may be counted dead where it died and not yet born where
-    it was born. But every death of the wave before last was counted before any birth of the last one, so births now
-    less deaths before are at least the packets in flight between the two waves, and each primary whose tree of rays
-    is still alive is one of them or has a descendant there. With the primaries that homes may still bear, that is
-    all that can become alive without a further order; what is left of the budget is shared out. So the primaries
-    whose trees are alive are never more than the budget, or than the homes if there are more of these: where nothing
-    is in flight each home may bear one.
-    """
-    in_flight = sum(now.born) - (sum(before.died) if before is not None else 0)
-    if now.homes_left == 0:
-        return 0
-    if in_flight == 0 and allowed == 0:
-        return max(1, budget // now.homes_left)
-    return max(0, budget - in_flight - allowed) // now.homes_left
-
-
-def _deal(
-    surfaces: SurfaceSet,
-    places: dict[int, tuple[int, int, int]],
-    moves: Moves | None,
-    look_up: Callable[[], None] = lambda: None,
-) -> Iterator[tuple[int, Batch]]:
-    """Each surface to the corner nearest to its middle, in messages of about CHUNK_BYTES, corners in turn.
-
-    look_up  called for every message: a million surfaces take a second
-    """
-    queues: dict[int, deque[Batch]] = {corner: deque() for corner in places}
-    several = [any(corner >> axis & 1 for corner in places) for axis in range(3)]
-    for batch in surfaces:
-        parts = [np.zeros(0, np.int64)]
-        for start in range(0, len(batch), LOOKED_AT):
-            look_up()
-            part = batch.select(np.arange(start, min(start + LOOKED_AT, len(batch))))
-            middles = placed(part, moves).bounds().mean(axis=1)
-            parts.append(sum(((middles[:, axis] >= 0.0) & several[axis]).astype(np.int64) << axis for axis in range(3)))
-        corner_of = np.concatenate(parts)
-        for corner in places:
-            for piece in pieces(batch.select(np.flatnonzero(corner_of == corner)), CHUNK_BYTES):
-                look_up()
-                queues[corner].append(piece)
-    while any(queues.values()):
-        for corner, queue in queues.items():
-            if queue:
-                look_up()
-                yield corner, queue.popleft()

@@ -1,4 +1,4 @@
-"""From one frame to the next: what the host tells an array of surfaces that it holds already.
+"""Tells an array, from one frame to the next, what has moved of the surfaces that it holds already.
 
 What goes in is the motion of each group that has moved, from rest to the new frame; where the surfaces go from there is
 the nodes' own affair (`node.runtime.increments`).

@@ -1,4 +1,4 @@
-"""The array inside one process: the same processors and links over queues in memory. For tests and comparison."""
+"""Runs an array inside one process: the same processors and links over queues in memory. For tests and comparison."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from raygrid.emulator.driver.driver import Driver
-from raygrid.emulator.topology.topology import host_links, indices, neighbour_links
+from raygrid.emulator.topology.coordinates import indices
+from raygrid.emulator.topology.topology import host_links, neighbour_links
 from raygrid.node.geometry import HOST, corners
 from raygrid.node.links import Link, MemoryChannel, memory_channels
 from raygrid.node.main import open_links, processor_class

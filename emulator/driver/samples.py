@@ -1,4 +1,4 @@
-"""Samples of probes as the host reads them: checked, and with names."""
+"""Reads the samples of probes: checks them, and gives them names."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import struct
 from dataclasses import dataclass
 from typing import Any
 
-from raygrid.emulator.topology.socket_directory import Index
+from raygrid.emulator.topology.coordinates import Index, name_of
 from raygrid.node.errors import ProtocolError
 from raygrid.node.geometry import HOST
 from raygrid.node.protocol import BORN, COUNTS, DIED, HITS, KINDS, SENT, WALKS, PacketKind
@@ -82,7 +82,7 @@ class NodeSample:
 
 
 def read_sample(node: Index, words: dict[str, Any]) -> NodeSample:
-    """A sample of what a node said on its line. Raises ProtocolError unless it is one."""
+    """A sample of what a node said on its control channel. Raises ProtocolError unless it is one."""
     try:
         counts = _counts(words["counts"])
         phase = words["phase"]
@@ -109,7 +109,7 @@ def read_sample(node: Index, words: dict[str, Any]) -> NodeSample:
             dropped=_whole(words["dropped"]),
         )
     except (KeyError, TypeError, ValueError) as error:
-        raise ProtocolError(f"node {','.join(map(str, node))} said a sample that is none: {error}") from None
+        raise ProtocolError(f"node {name_of(node)} said a sample that is none: {error}") from None
 
 
 def _counts(raw: Any) -> tuple[int, ...]:

@@ -1,12 +1,9 @@
-"""A quick pilot of rays: what a frame's rays will do, before any array traces them.
+"""Samples what a frame's rays will do, before any array traces them: a quick pre-pass.
 
 A coarse grid of the picture's rays is traced to full depth through the whole scene in one cell, by the nodes' own step
 and hierarchy, and of each ray and shadow ray is kept where it begins, its direction, and how far it goes.
 `emulator.partition.cost_grid` counts from that what any cell would have to do.
 """
-
-# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
-# kernels: numba infers their types
 
 from __future__ import annotations
 
@@ -16,59 +13,46 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raygrid.emulator.partition.kernels import FACTS, record_rays
 from raygrid.node.geometry import (
     DEPTH,
     LATTICE,
     SELF,
     SELF_RAYS,
     STORED_AS,
-    T_MIN,
     Batch,
     Cell,
     Kind,
     Space,
     Surfaces,
     SurfaceSet,
-    inverse,
     make_cell,
     make_space,
     merge,
-    passage,
 )
-from raygrid.node.jit import lean
-from raygrid.node.protocol import COUNTS, HEAD, PRIMARY, SHADOW, SIZE, Frame, read_u16, read_u24, read_u32, unit_vector
+from raygrid.node.protocol import COUNTS, HEAD, SIZE, Frame
 from raygrid.node.tracing import (
     Outputs,
     build_surfaces,
-    closest,
-    edge_colour,
-    entry,
-    eye_ray,
-    image_point,
-    light_direction,
     make_outputs,
     make_pixels,
     new_cursor,
-    place,
     spawn_primaries,
 )
 from raygrid.node.tracing.step import step
 
 F64 = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
-ACROSS = 48  # pilot rays along a side of the picture
+ACROSS = 48  # rays of the pre-pass along a side of the picture
 MOST_RAYS = 200_000  # rays followed, whatever lights and mirrors there are
 CHUNK = 8192  # packets in a call
 ROOM = 65_536  # packets that an output holds
 MOST_SURFACES = 20_000  # a hierarchy of these is built in 25 ms
 LARGEST = 2_000  # of them, how many are kept for their size
 
-# columns of Rays.facts
-T_END, IS_PRIMARY, SHADED, RETURNS, FACTS = 3, 4, 5, 6, 7
-
 
 class PrepassRays(NamedTuple):
-    """Rays of a pilot, shadow rays among them.
+    """Rays of a pre-pass, shadow rays among them.
 
     origins  int64 (n, 3), lattice; homes int64 (n, 3), where the primary ray of the sample begins
     facts    float64 (n, FACTS): direction; T_END, the ray crosses planes up to this time; whether it is a primary
@@ -86,7 +70,7 @@ class SamplingPrepass(NamedTuple):
     surfaces  the hierarchy of the whole scene, or of a part that stands for it
     boxes     of these surfaces, float64 (n, 2, 3); each stands for `each` of the scene
     step      of the lattice, on each axis
-    share     samples of the frame for each one of the pilot
+    share     samples of the frame for each one of the pre-pass
     """
 
     rays: PrepassRays
@@ -203,7 +187,7 @@ def _trace(space: Space, cell: Cell, frame: Frame, surfaces: Surfaces) -> Prepas
         shadows, others = (_taken(outputs, output) for output in (SELF, SELF_RAYS))
         for piece in (packets[: done * SIZE], *_pieces(shadows)):
             rays = _no_rays(len(piece) // SIZE)
-            _record(space, cell, frame, surfaces, outputs.stack, piece, rays, counts)
+            record_rays(space, cell, frame, surfaces, outputs.stack, piece, rays, counts)
             found.append(rays)
             total += len(rays.facts)
         waiting += _pieces(others)
@@ -223,39 +207,3 @@ def _pieces(packets: Bytes) -> list[Bytes]:
 
 def _no_rays(many: int) -> PrepassRays:
     return PrepassRays(np.zeros((many, 3), np.int64), np.zeros((many, 3), np.int64), np.zeros((many, FACTS)))
-
-
-@lean
-def _record(space, cell, frame, surfaces, stack, packets, rays, counts):
-    """Note of each packet (a ray that starts in the one cell) where it begins and ends."""
-    for k in range(len(rays.facts)):
-        at = k * SIZE
-        kind = np.int64(packets[at]) & 7
-        origin = (read_u24(packets, at + 5), read_u24(packets, at + 8), read_u24(packets, at + 11))
-        o = place(origin, space.step)
-        d, distance = unit_vector(read_u24(packets, at + 14), read_u24(packets, at + 17)), np.inf
-        if kind == SHADOW:
-            d, distance = light_direction(frame.lights, read_u16(packets, at + 14), o)
-        inv = (inverse(d[0]), inverse(d[1]), inverse(d[2]))
-        _, t_out, _ = passage(cell, o, inv)
-        t, item = min(t_out, distance), np.int64(-1)
-        if len(surfaces.floats) > 0:
-            t, item, _, _ = closest(surfaces, stack, o, d, inv, T_MIN, min(t_out, distance), counts)
-        end = t
-        if item < 0:  # a shadow ray stays in the cell where it reaches its light
-            end = np.nextafter(distance, 0.0) if distance <= t_out else np.inf
-        returns = item < 0
-        if kind != SHADOW:
-            red, green, blue = edge_colour(frame, d)
-            returns = returns and (red > 0.0 or green > 0.0 or blue > 0.0)
-        x, y = image_point(read_u32(packets, at + 1), frame.width, frame.samples)
-        from_eye, along = eye_ray(frame.camera, x, y)
-        _, point, _ = entry(space.step, from_eye, along)
-        for axis in range(3):
-            rays.origins[k, axis] = origin[axis]
-            rays.homes[k, axis] = point[axis]
-            rays.facts[k, axis] = d[axis]
-        rays.facts[k, T_END] = end
-        rays.facts[k, IS_PRIMARY] = kind == PRIMARY
-        rays.facts[k, SHADED] = item >= 0 and kind != SHADOW
-        rays.facts[k, RETURNS] = returns

@@ -1,9 +1,9 @@
-"""Where the planes between cells lie on each axis.
+"""Places the planes between cells on each axis.
 
-`uniform` gives equal boxes, as in the paper. `balanced` estimates from a few sampled rays (`emulator.partition.sampling_prepass`)
-what each node would have to do, and searches for the planes by which the busiest has least
-(`emulator.partition.cost_grid`). The same scene, camera, settings and shape always give the same planes, and the picture is
-the same for any planes.
+`uniform` gives equal boxes, as in the paper. `balanced` estimates from a sampling pre-pass
+(`emulator.partition.sampling_prepass`) what each node would have to do, and searches for the planes by which the busiest
+has least (`emulator.partition.cost_grid`). The same scene, camera, settings and shape always give the same planes, and the
+picture is the same for any planes.
 
 Without a camera, for a very small picture, with surfaces of a program, or if no ray enters the world box, planes lie at
 quantiles of the surfaces: each slab between two planes has about as many as the next. Where an axis has more than
@@ -17,20 +17,20 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from raygrid.emulator.topology.coordinates import Index
 from raygrid.node.errors import ArrayError
 from raygrid.node.geometry import HALF, LATTICE, THINNEST_CELL, AddedKind, Space, SurfaceSet, World, make_space
 from raygrid.node.protocol import Frame
 
 F64 = NDArray[np.float64]
 Line = NDArray[np.int64]
-Index = tuple[int, int, int]
 SPLITS = ("balanced", "uniform")
 SLICES = 4096  # resolution of a measure along an axis
 SPACE_SHARE = 0.1  # of every measure, spread evenly over the world box: empty space is walked too
 GRID = 48  # planes to choose from on an axis
 MOST_CELLS = 16  # on an axis, for which planes are searched
-# Fewer primary and first shadow rays are traced in less time than a pilot costs a process that has just started: 0.03 s
-# and 0.05 s to load its kernels, part of it while the nursery warms up beside it.
+# Fewer primary and first shadow rays are traced in less time than a pre-pass costs a process that has just started: 0.03 s
+# and 0.05 s to load its kernels, part of it while the fork server warms up beside it.
 WORTHWHILE = 1 << 18
 
 
@@ -44,7 +44,7 @@ def split(
 ) -> Space:
     """The cells of an array of this shape over these surfaces and for this frame (machine coordinates).
 
-    `wait` is called where the pilot's kernels would have to be compiled, and returns when another process has done
+    `wait` is called where the pre-pass' kernels would have to be compiled, and returns when another process has done
     that. Raises ArrayError for what cannot be.
     """
     if max(shape) * THINNEST_CELL > LATTICE:
@@ -132,7 +132,7 @@ def _apart(planes: Line) -> Line:
     return planes
 
 
-# --- by a pilot of rays ----------------------------------------------------------------------------------
+# --- by a sampling pre-pass ------------------------------------------------------------------------------
 
 
 def _by_prepass(shape: Index, world: World, surfaces: SurfaceSet, frame: Frame) -> list[Line] | None:

@@ -1,12 +1,12 @@
-"""The array of real processes: launch, drive, end.
+"""Launches, drives and ends an array of real processes.
 
     with Array.launch((2, 2, 2)) as array:
         array.driver.load(space, surfaces)
         array.driver.trace(frame)
         sums, samples = array.driver.collect(frame.width * frame.height)
 
-`begin` starts the nursery and returns at once, so that a scene can be read meanwhile; `launch` waits. What takes half a
-second to import, because it brings in numba, is imported only then: the nursery does the same at the same time.
+`begin` starts the fork server and returns at once, so that a scene can be read meanwhile; `launch` waits. What takes half a
+second to import, because it brings in numba, is imported only then: the fork server does the same at the same time.
 """
 
 from __future__ import annotations
@@ -16,12 +16,14 @@ import os
 import select
 import time
 from collections.abc import Callable
-from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, assert_never
 
-from raygrid.emulator.processes.fork_server_client import ForkServerClient, ProcessEnded
+from raygrid.emulator.processes.early_imports import import_links
+from raygrid.emulator.processes.fork_server_client import ForkServerClient
+from raygrid.emulator.processes.process_ended import ProcessEnded
+from raygrid.emulator.topology.coordinates import Index, name_of
 from raygrid.emulator.topology.limits import check_fits
-from raygrid.emulator.topology.socket_directory import LAST_EPOCH, Index, SocketDirectory, host_endpoint
+from raygrid.emulator.topology.socket_directory import LAST_EPOCH, SocketDirectory, host_endpoint
 from raygrid.node.errors import ArrayError, LostProcess, ProtocolError, RaygridError, Stuck
 
 if TYPE_CHECKING:
@@ -29,8 +31,9 @@ if TYPE_CHECKING:
 
     from raygrid.emulator.driver.driver import Driver
     from raygrid.emulator.driver.samples import NodeSample
-    from raygrid.emulator.processes.control_channels import Words
+    from raygrid.emulator.processes.control import Message
     from raygrid.emulator.processes.node_processes import NodeProcesses, ProcessState
+    from raygrid.emulator.processes.process_watch import ProcessWatch
     from raygrid.node.links import FaultPlan, ZmqChannel
 
 BATCH = 4096  # most packets a message
@@ -39,11 +42,7 @@ WARM_SECONDS = 300.0  # a first run compiles; nothing takes longer than this on 
 READY_SECONDS, READY_SECONDS_A_NODE = 10.0, 0.05  # for the links to come up; longer, and somebody else took one
 END_SECONDS = 5.0
 FAULT_PATIENCE = 3.0  # seconds: with faults on purpose a message that never comes is the likely reason of silence
-LOOK_SECONDS = 0.25  # how often the states of silent processes are looked at
-LISTEN_SECONDS = 0.05  # how often lines are listened to while probes are on
-STOPPED_SECONDS = (
-    0.75  # a process that is stopped (SIGSTOP), or dead without a word of it, for longer than this is lost
-)
+LISTEN_SECONDS = 0.05  # how often control channels are listened to while probes are on
 FAULTS = (LostProcess, Stuck, ProtocolError)
 
 
@@ -63,7 +62,6 @@ class Array:
     injected  messages that were hit by it so far
     profile   whether nodes say where their time goes (`node.runtime.profile`)
     timed     whether nodes can keep machine time (`node.timed.timed_processor`)
-    on_words  called as on_words(index, words) with what a node says on its line, but for its acknowledgements
     on_wait   called whenever the host waits for the array, four times a second or more; what it raises is passed on
     """
 
@@ -82,11 +80,9 @@ class Array:
         if fault is not None:
             patience = min(FAULT_PATIENCE, FAULT_PATIENCE if patience is None else patience)
         self.shape, self.batch, self.patience, self.fault = shape, batch, patience, fault
-        self.programs = programs
-        self.injected, self.profile, self.timed = 0, profile, timed
+        self.programs, self.profile, self.timed, self.injected = programs, profile, timed, 0
         self.epoch, self.restarts = -1, 0
         self.lost_nodes: list[str] = []
-        self.on_words: Callable[[Index, Words], None] | None = None
         self.refused_samples = 0
         self._rate = 0.0
         self._on_sample: Callable[[NodeSample], object] | None = None
@@ -101,8 +97,8 @@ class Array:
         self._driver: Driver | None = None
         self._begun = self._closing = False
         self._lost: RaygridError | None = None
-        self._looked = self._heard = 0.0
-        self._lame_since: dict[tuple[tuple[int, ...], int], float] = {}  # (index, pid) of what does not run
+        self._listened = 0.0
+        self._watch: ProcessWatch | None = None
 
     @classmethod
     def launch(cls, shape: Index, **options: Any) -> Array:
@@ -133,24 +129,24 @@ class Array:
         return [] if self._node_processes is None else self._node_processes.states()
 
     def begin(self) -> None:
-        """Start the nursery, which warms up while the caller does other things."""
+        """Start the fork server, which warms up while the caller does other things."""
         self._begun = True
         self._place = SocketDirectory.create(self.shape)
         warm = "raygrid.emulator.processes.warm:warm_timed" if self.timed else "raygrid.emulator.processes.warm:warm"
         self._fork_server = ForkServerClient.start(warm=warm, on_warming=self._on_warming, directory=self._place.path)
 
     def wait_warm(self) -> None:
-        """Wait until the nursery has every kernel, and all that it compiled is in the cache on disk."""
+        """Wait until the fork server has every kernel, and all that it compiled is in the cache on disk."""
         if self._fork_server is None:
             raise ArrayError("the array has not begun")
         self._fork_server.wait_warm(WARM_SECONDS, self.on_wait)
 
     def is_warm(self) -> bool:
-        """Whether nodes could be forked at once. Raises ArrayError if the nursery has failed."""
+        """Whether nodes could be forked at once. Raises ArrayError if the fork server has failed."""
         return self._fork_server is not None and self._fork_server.is_warm()
 
     def wait_ready(self) -> None:
-        """Fork the nodes once the nursery is warm, and wait until every link is up.
+        """Fork the nodes once the fork server is warm, and wait until every link is up.
 
         Raises LostProcess, Stuck or ProtocolError if that fails several times, ArrayError if nodes cannot be forked.
         """
@@ -160,8 +156,9 @@ class Array:
         import zmq
 
         from raygrid.emulator.processes.node_processes import NodeProcesses
+        from raygrid.emulator.processes.process_watch import ProcessWatch
 
-        self._node_processes = NodeProcesses(self._fork_server)
+        self._node_processes, self._watch = NodeProcesses(self._fork_server), ProcessWatch()
         self._context = zmq.Context(io_threads=1)
         self._begin_epochs()
 
@@ -169,7 +166,7 @@ class Array:
         """The reset line: whatever the array's state, after this it is empty, in a new epoch, and ready.
 
         Nodes that live drop all they hold and open new links; those that are dead, stopped or do not answer within
-        a second are forked anew. If the nodes cannot be brought to work together, or the nursery is gone or stopped, the
+        a second are forked anew. If the nodes cannot be brought to work together, or the fork server is gone or stopped, the
         whole array is launched anew. Raises ArrayError and its kinds, or ProtocolError, if that fails as well.
         """
         if self._closing or not self._begun:
@@ -177,12 +174,8 @@ class Array:
         self.lost_nodes = []
         try:
             there = self._place is not None and self._place.keep()  # or no link could be made in it
-            if (
-                there
-                and self._node_processes is not None
-                and self._fork_server is not None
-                and self._fork_server.serving
-            ):
+            serving = self._fork_server is not None and self._fork_server.serving
+            if there and serving and self._node_processes is not None:
                 with contextlib.suppress(*FAULTS):
                     self._begin_epochs()
                     return
@@ -220,13 +213,13 @@ class Array:
         from raygrid.node.links import ZmqChannel
 
         assert self._node_processes is not None
+        assert self._watch is not None
         assert self._place is not None
         assert self._context is not None
         self._hang_up()
         self._poller = poller = zmq.Poller()
         self._lost = None
-        self._lame_since.clear()
-        first = not self._node_processes.pids
+        self._watch.forget()
         self.epoch = (self.epoch + 1) & LAST_EPOCH  # after the last one nodes refuse the first, and are forked anew
         machine = os.urandom(8).hex()
         for corner, index in corners(self.shape).items():
@@ -235,9 +228,10 @@ class Array:
             poller.register(zmq_channel.socket, zmq.POLLIN)
         told = {"batch": self.batch, "fault": self.fault, "programs": self.programs}
         told |= {"profile": self.profile, "timed": self.timed}
+        before = len(self._node_processes.pids)
         forked = self._node_processes.begin(node_configs(self.shape, self._place.path, self.epoch, machine, **told))
-        self.restarts += 0 if first else forked
-        self.lost_nodes += map(_told, self._node_processes.lost)
+        self.restarts += forked if before else 0
+        self.lost_nodes += [event.told for event in self._node_processes.lost]
         self._node_processes.lost.clear()
         for descriptor in self._node_processes.filenos():
             poller.register(descriptor, zmq.POLLIN)
@@ -276,18 +270,19 @@ class Array:
     def _tell_rate(self) -> None:
         if self._node_processes is None or self._driver is None or self._poller is None:  # told when the array is ready
             return
+        channels = self._node_processes.control_channels
         for index in self._node_processes.pids:
-            self._node_processes.lines.send(index, {"do": "probe", "rate": self._rate})
+            channels.send(index, {"do": "probe", "rate": self._rate})
         if self._rate:  # waking for each sample costs more than reading it: `_pump` listens now and then instead
             with contextlib.suppress(KeyError):
-                self._poller.unregister(self._node_processes.lines.fileno())
+                self._poller.unregister(channels.fileno())
         else:
-            self._poller.register(self._node_processes.lines.fileno(), select.POLLIN)
+            self._poller.register(channels.fileno(), select.POLLIN)
 
     def check(self) -> None:
         """Look after an array that nobody waits for: take in what has come, and look at the processes.
 
-        Raises LostProcess, naming the node, if one ended or is stopped, or the nursery is; ProtocolError if one gave up its
+        Raises LostProcess, naming the node, if one ended or is stopped, or the fork server is; ProtocolError if one gave up its
         links.
         """
         self._pump(0.0)
@@ -303,13 +298,13 @@ class Array:
         milliseconds = int(min(seconds, LISTEN_SECONDS if self._rate else seconds) * 1000)
         found = [] if self._poller is None else self._poller.poll(milliseconds)
         try:
-            if self._rate and time.monotonic() - self._heard >= LISTEN_SECONDS:
-                self._hear()
+            if self._rate and time.monotonic() - self._listened >= LISTEN_SECONDS:
+                self._take_events()
             for ready, _ in found:
                 if ready in corner_of:
                     self.driver.receive(corner_of[ready])
                 else:
-                    self._hear()
+                    self._take_events()
             for link in self.driver.links.values():
                 if link.choked:
                     link.push()
@@ -319,63 +314,58 @@ class Array:
             self._lost = error  # and say so again, until the reset
             raise
 
-    def _hear(self) -> None:
-        """Take in the ends of processes and what nodes say on their lines."""
+    def _take_events(self) -> None:
+        """Take in the ends of processes and what nodes say on their control channels."""
+        from raygrid.emulator.processes.node_messages import EpochBegun, FaultInjected, LinksBroken, SampleTaken
+
         assert self._node_processes is not None
-        self._heard = time.monotonic()
-        for event in self._node_processes.hear():
+        self._listened = time.monotonic()
+        for event in self._node_processes.read_events():
             if isinstance(event, ProcessEnded):
                 if not (self._closing and event.code == 0):
-                    raise LostProcess(_told(event))
-            elif event.words.get("is") == "broken":
-                if event.words.get("epoch") == self.epoch:
-                    pid = self._node_processes.pids[event.index]
-                    raise ProtocolError(f"node {_name(event.index)} (pid {pid}): {event.words.get('why')}")
-            elif event.words.get("is") == "sample":
-                self._take_sample(event.index, event.words)
-            elif event.words.get("is") == "injected":
-                self.injected += 1
-            elif event.words.get("is") != "reset" and self.on_words is not None:
-                self.on_words(event.index, event.words)
+                    raise LostProcess(event.told)
+                continue
+            match event.said:
+                case LinksBroken(epoch, why):
+                    if epoch == self.epoch:
+                        pid = self._node_processes.pids[event.index]
+                        raise ProtocolError(f"node {name_of(event.index)} (pid {pid}): {why}")
+                case SampleTaken(fields):
+                    self._take_sample(event.index, fields)
+                case FaultInjected():
+                    self.injected += 1
+                case EpochBegun():
+                    pass  # waited for by `NodeProcesses.begin`
+                case unknown:
+                    assert_never(unknown)
 
-    def _take_sample(self, index: Index, words: Words) -> None:
+    def _take_sample(self, index: Index, fields: Message) -> None:
         from raygrid.emulator.driver.samples import read_sample
 
         if self._on_sample is None:
             return
         try:
-            sample = read_sample(index, words)
+            sample = read_sample(index, fields)
         except ProtocolError:
             self.refused_samples += 1
             return
         self._on_sample(sample)
 
     def _look(self, idle: bool = False) -> None:
-        """Look, now and then, for nodes that are stopped, which send nothing and do not end, and for dead ones of which the
-        nursery does not tell; `idle`: for a nursery that is stopped, too, which a frame can do without. Raises LostProcess.
-        """
-        now = time.monotonic()
-        if now - self._looked < LOOK_SECONDS:
+        """Look, now and then, for nodes that do not run; `idle`: for a fork server that does not, too, which a frame can do
+        without. Raises LostProcess."""
+        if self._watch is None or not self._watch.is_due():
             return
-        self._looked = now
         if self._place is not None:
             self._place.keep()
-        lame = {(node.index, node.pid): node for node in self.nodes() if node.state in ("stopped", "dead")}
-        said: dict[tuple[tuple[int, ...], int], str] = {
-            key: f"node {_name(node.index)} (pid {node.pid}) is {node.state}" for key, node in lame.items()
-        }
-        if idle and self._fork_server is not None and self._fork_server.stopped:
-            said[(), self._fork_server.pid] = f"the nursery (process {self._fork_server.pid}) is stopped"
-        self._lame_since = {key: self._lame_since.get(key, now) for key in said}
-        for key, since in self._lame_since.items():
-            if now - since >= STOPPED_SECONDS:
-                self._lost = LostProcess(said[key])
-                raise self._lost
+        lost = self._watch.lost(self.nodes(), self._fork_server if idle else None)
+        if lost is not None:
+            self._lost = LostProcess(lost)
+            raise self._lost
 
     def _why_silent(self) -> str:
         """Which nodes do not run, and why: "node 1,0,0 (pid 17) is stopped"."""
-        lame = [node for node in self.nodes() if node.state not in ("running", "waiting")]
-        return "; ".join(f"node {_name(node.index)} (pid {node.pid}) is {node.state}" for node in lame[:8])
+        return "; ".join([node.told for node in self.nodes() if node.state not in ("running", "waiting")][:8])
 
     def close(self) -> None:
         """End all processes, close all sockets, remove all files. May be called twice, and at any time."""
@@ -394,9 +384,8 @@ class Array:
         if self._context is not None:
             self._context.destroy(linger=0)
             self._context = None
-        node_processes, self._node_processes = self._node_processes, None
-        fork_server, self._fork_server = self._fork_server, None
-        place, self._place = self._place, None
+        node_processes, fork_server, place = self._node_processes, self._fork_server, self._place
+        self._node_processes = self._fork_server = self._place = None
         try:
             if fork_server is not None:
                 fork_server.end(END_SECONDS)
@@ -409,31 +398,7 @@ class Array:
     def __enter__(self) -> Array:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         if error is not None:
             self._driver = None  # nothing more is asked of an array that failed
         self.close()
-
-
-def _told(event: ProcessEnded) -> str:
-    return f"node {_name(event.index)} (pid {event.pid}) ended: {event.why}"
-
-
-def import_links() -> None:
-    """Import what an array needs once its nursery is warm; it costs nothing beside the warming."""
-    import zmq  # noqa: F401
-
-    from raygrid.emulator.driver import driver  # noqa: F401
-    from raygrid.emulator.driver.collector import load
-    from raygrid.emulator.processes import node_processes  # noqa: F401
-    from raygrid.emulator.topology import topology, wiring  # noqa: F401
-    from raygrid.node.geometry import spanning_tree  # noqa: F401
-    from raygrid.node.links import zmq_channel  # noqa: F401
-
-    load()
-
-
-def _name(index: Index) -> str:
-    return ",".join(map(str, index))

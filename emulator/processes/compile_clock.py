@@ -1,4 +1,4 @@
-"""A clock that stands still while a kernel is compiled: what a first run compiles is no part of what it measures."""
+"""Stops a clock while kernels are compiled: what a first run compiles is no part of what it measures."""
 
 from __future__ import annotations
 

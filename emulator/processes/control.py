@@ -1,4 +1,4 @@
-"""Messages between the front end and the nursery: msgpack maps behind a length (u32, little-endian) on a stream socket.
+"""Carries messages between front end and fork server: msgpack maps behind a length (u32, little-endian) on a stream socket.
 
 A message may bring descriptors along (SCM_RIGHTS). The two sides trust each other, as one started the other.
 """
@@ -32,7 +32,7 @@ def close_all(descriptors: list[int]) -> None:
 
 
 class ForkServerChannel:
-    """Messages over a stream socket, without ever blocking; both ends use it.
+    """Carries messages over a stream socket, without ever blocking; both ends use it.
 
     closed       nothing more will come
     unsent       bytes that wait for room
@@ -59,7 +59,9 @@ class ForkServerChannel:
         """
         body = msgpack.packb(message)
         if len(body) > LONGEST_MESSAGE:
-            raise ProtocolError(f"a message to or from the nursery has {len(body)} bytes, at most {LONGEST_MESSAGE}")
+            raise ProtocolError(
+                f"a message to or from the fork server has {len(body)} bytes, at most {LONGEST_MESSAGE}"
+            )
         if descriptors or not self._out or self._out[-1][1]:
             self._out.append((bytearray(), list(descriptors)))
         self._out[-1][0].extend(framed(body))

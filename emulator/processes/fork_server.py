@@ -1,27 +1,16 @@
-"""The nursery: a small process from which all nodes are forked, run as `python -m raygrid.emulator.processes.fork_server FD`.
+"""Forks, reaps and reports all nodes of an array, as a small process: `python -m raygrid.emulator.processes.fork_server FD`.
 
 Why not fork the front end: it may have threads, a ZeroMQ context, a scene and a display; a fork of all that is slow
 at best. Why not spawn: a node would pay 75 MB and 1.5 s of CPU time. So this process imports the node program, warms
 it (every kernel called once), and then does nothing but fork, reap and report. It is single-threaded, and Ctrl-C in
 the terminal does not reach it, as it has its own session.
 
-Commands and reports are maps on the socket FD (`emulator.processes.control`):
+Orders and reports on the socket FD: `emulator.processes.fork_server_protocol`. Each node is forked with a socket pair of
+its own for its control channel, so that only it and the host can speak on it.
 
-    command                            reports
-                                       {is: warming, done, total, what}      while it warms
-                                       {is: warm}                            once
-    {do: launch, configs: [map, ...]}  {is: lines, count}, as often as needed, with as many descriptors;
-                                       then {is: launched, pids: [...]}, or only {is: refused, why}
-    {do: kill, pids: [...]}            {is: ended, ...} of each that is a node and lives
-                                       {is: ended, pid, index, status}       status < 0: minus the signal
-    {do: end}                          the socket closes when all nodes are reaped
-
-The descriptors are the host's ends of the lines to the nodes (`node.links.control_channel`), in the order of the configs: each
-node is forked with a socket pair of its own, so that only it and the host can speak on it.
-
-Nobody outlives the front end: when its process or the socket is gone, the nursery ends all nodes and itself. Nobody
-outlives the nursery: only it holds the write end of the `life` pipe, of which each node holds the read end and ends
-when it closes; and the kernel sends each node SIGTERM if the nursery dies, for a node that is busy in a kernel.
+Nobody outlives the front end: when its process or the socket is gone, the fork server ends all nodes and itself. Nobody
+outlives the fork server: only it holds the write end of the `life` pipe, of which each node holds the read end and ends
+when it closes; and the kernel sends each node SIGTERM if the fork server dies, for a node that is busy in a kernel.
 """
 
 from __future__ import annotations
@@ -38,14 +27,28 @@ import socket
 import sys
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from fcntl import F_GETFL, F_SETFL, F_SETOWN, fcntl
 from typing import NoReturn
 
 from raygrid.emulator.processes.control import MOST_DESCRIPTORS, ForkServerChannel, Message, close_all
+from raygrid.emulator.processes.fork_server_protocol import (
+    ControlEnds,
+    End,
+    Kill,
+    Launch,
+    Launched,
+    NodeEnded,
+    Refused,
+    Report,
+    Warm,
+    Warming,
+    as_message,
+    read_order,
+)
 from raygrid.emulator.topology import socket_directory
-from raygrid.emulator.topology.socket_directory import Index
+from raygrid.emulator.topology.coordinates import Index, name_of
 from raygrid.node.errors import RaygridError
 
 Run = Callable[[Message, int, int], None]
@@ -58,7 +61,7 @@ DEBUG = "RAYGRID_DEBUG"  # set: tracebacks of errors, and of crashes in compiled
 
 
 class ForkServer:
-    """The nursery's loop: obey, fork, reap, report.
+    """Obeys the front end, forks nodes, reaps them and reports their ends.
 
     children   the living nodes, process id -> index
     """
@@ -124,74 +127,78 @@ class ForkServer:
         self._ending = self._orphaned = True
 
     def _obey(self, message: Message) -> None:
-        if message.get("do") == "launch" and not self._ending:
-            self._launch(message["configs"])
-        elif message.get("do") == "kill":
-            for pid in self.children.keys() & set(message["pids"]):  # not yet reaped, so nobody else has these ids
-                os.kill(pid, signal.SIGKILL)
-        elif message.get("do") == "end":
-            self._ending = True
-        else:
-            self.control.send({"is": "refused", "why": f"the nursery cannot {message.get('do')!r} now"})
+        match read_order(message):
+            case Launch(configs) if not self._ending:
+                self._launch(configs)
+            case Kill(pids):
+                for pid in self.children.keys() & set(pids):  # not yet reaped, so nobody else has these ids
+                    os.kill(pid, signal.SIGKILL)
+            case End():
+                self._ending = True
+            case Launch() | None:
+                self._report(Refused(f"the fork server cannot {message.get('do')!r} now"))
+
+    def _report(self, report: Report, descriptors: Sequence[int] = ()) -> None:
+        self.control.send(as_message(report), descriptors)
 
     # --- nodes -----------------------------------------------------------------------------------
 
-    def _launch(self, configs: tuple[Message, ...]) -> None:
+    def _launch(self, configs: Sequence[Message]) -> None:
         """Fork a node for each config: all, or none."""
         pids: list[int] = []
-        lines: list[int] = []
+        channels: list[int] = []
         try:
             for config in configs:
                 ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-                lines.append(ours.detach())
+                channels.append(ours.detach())
                 with theirs:
                     pids.append(self._fork(config, theirs.fileno()))
         except OSError as error:
-            close_all(lines)
+            close_all(channels)
             for pid in pids:
                 os.kill(pid, signal.SIGKILL)
                 os.waitpid(pid, 0)
             why = f"node {len(pids) + 1} of {len(configs)} could not be forked: {error.strerror}"
-            self.control.send({"is": "refused", "why": why})
+            self._report(Refused(why))
             return
         self.children.update((pid, config["index"]) for pid, config in zip(pids, configs, strict=True))
-        for first in range(0, len(lines), MOST_DESCRIPTORS):
-            some = lines[first : first + MOST_DESCRIPTORS]
-            self.control.send({"is": "lines", "count": len(some)}, some)
-        self.control.send({"is": "launched", "pids": pids})
+        for first in range(0, len(channels), MOST_DESCRIPTORS):
+            some = channels[first : first + MOST_DESCRIPTORS]
+            self._report(ControlEnds(len(some)), some)
+        self._report(Launched(pids))
 
-    def _fork(self, config: Message, line: int) -> int:
+    def _fork(self, config: Message, channel: int) -> int:
         for stream in (sys.stdout, sys.stderr):
             with suppress(Exception):
                 stream.flush()  # or each child would write it again
-        # A signal between the fork and the child's own dispositions must not run the nursery's handlers.
+        # A signal between the fork and the child's own dispositions must not run the fork server's handlers.
         held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM, signal.SIGHUP, signal.SIGCHLD})
         try:
             fork_server = os.getpid()
             pid = os.fork()
             if pid == 0:
-                self._be_node(config, line, fork_server)
+                self._be_node(config, channel, fork_server)
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, held)
         return pid
 
-    def _be_node(self, config: Message, line: int, fork_server: int) -> NoReturn:
-        """In the child: run the node program to its end. Never returns into the nursery's frames."""
+    def _be_node(self, config: Message, channel: int, fork_server: int) -> NoReturn:
+        """In the child: run the node program to its end. Never returns into the fork server's frames."""
         code = 1
         try:
-            self._forget_fork_server(fork_server, line)
-            self._run(config, self._life, line)
+            self._forget_fork_server(fork_server, channel)
+            self._run(config, self._life, channel)
             code = 0
         except BaseException as error:
-            say(f"raygrid node {','.join(map(str, config['index']))}", error)
+            say(f"raygrid node {name_of(config['index'])}", error)
         finally:
             for stream in (sys.stdout, sys.stderr):
                 with suppress(Exception):
                     stream.flush()
             os._exit(code)
 
-    def _forget_fork_server(self, fork_server: int, line: int) -> None:
-        """In the child: give up all that is the nursery's, keeping descriptors 0, 1, 2, `life` and `line`."""
+    def _forget_fork_server(self, fork_server: int, channel: int) -> None:
+        """In the child: give up all that is the fork server's, keeping descriptors 0, 1, 2, `life` and `channel`."""
         end_with_parent(fork_server)
         signal.set_wakeup_fd(-1)
         for number in (signal.SIGCHLD, signal.SIGTERM, signal.SIGHUP):
@@ -203,7 +210,7 @@ class ForkServer:
             if descriptor is not None:
                 os.close(descriptor)
         first = 3
-        for kept in sorted((self._life, line)):
+        for kept in sorted((self._life, channel)):
             os.closerange(first, kept)
             first = max(kept + 1, 3)
         os.closerange(first, os.sysconf("SC_OPEN_MAX"))
@@ -218,7 +225,7 @@ class ForkServer:
             index = self.children.pop(pid, None)
             if index is not None:
                 code = os.waitstatus_to_exitcode(status)
-                self.control.send({"is": "ended", "pid": pid, "index": index, "status": code})
+                self._report(NodeEnded(pid, index, code))
 
     def _end_children(self) -> None:
         """End and reap all nodes, and give the front end a short time to read of it."""
@@ -292,24 +299,24 @@ def warm_up(control: ForkServerChannel, program: str, warm: str, directory: str 
     def report(done: int, total: int, what: str) -> None:
         if done:
             gc.enable()  # but compiling leaves much behind
-        control.send({"is": "warming", "done": done, "total": total, "what": what})
+        control.send(as_message(Warming(done, total, what)))
 
     getattr(importlib.import_module(module), function)(report)
     fcntl(control.socket, F_SETFL, fcntl(control.socket, F_GETFL) & ~os.O_ASYNC)
     signal.signal(signal.SIGIO, signal.SIG_IGN)
     tasks = len(os.listdir("/proc/self/task"))
     if tasks > 1:
-        say("raygrid nursery", RaygridError(f"warming left {tasks} threads, wanted 1: forks may hang"))
+        say("raygrid fork server", RaygridError(f"warming left {tasks} threads, wanted 1: forks may hang"))
     if gc.isenabled():
         gc.collect()
     gc.freeze()  # or the first collection in each node would write to, and so copy, all that is shared
     gc.enable()
-    control.send({"is": "warm"})
+    control.send(as_message(Warm()))
     return run
 
 
 def build_parser() -> argparse.ArgumentParser:
-    """The arguments that `launch.Nursery.start` passes."""
+    """The arguments that `ForkServerClient.start` passes."""
     parser = argparse.ArgumentParser(prog="python -m raygrid.emulator.processes.fork_server", description=__doc__)
     parser.add_argument("fd", type=int, metavar="FD", help="socket to the front end")
     parser.add_argument("--front-end", type=int, default=os.getppid(), metavar="PID", help="process to outlive never")
@@ -334,7 +341,7 @@ def main(argv: list[str] | None = None) -> NoReturn:
         run = warm_up(control, arguments.program, arguments.warm, arguments.directory)
         ForkServer(control, run, arguments.front_end, arguments.directory).serve()
     except Exception as error:
-        say("raygrid nursery", error)
+        say("raygrid fork server", error)
         os._exit(1)
     os._exit(0)  # without tearing down numba, which takes a tenth of a second
 

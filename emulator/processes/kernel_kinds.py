@@ -1,8 +1,8 @@
-"""The kinds of kernels, and the words in which the nursery tells a front end of them."""
+"""Names the kinds of kernels, and phrases what the fork server tells a front end of them."""
 
 from __future__ import annotations
 
-NODES, TIMED_NODES, SIMULATOR, LOOKING = KINDS = (
+NODES, TIMED_NODES, SIMULATOR, ANALYSIS = KINDS = (
     "nodes",
     "nodes that keep machine time",
     "the simulator",

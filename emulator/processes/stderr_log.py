@@ -1,4 +1,4 @@
-"""What nursery and nodes write to stderr, which they share: its end, and what each node said before it ended."""
+"""Keeps the end of what fork server and nodes write to the stderr they share, and what each node said before it ended."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import signal
 import sys
 
 from raygrid.emulator.processes.fork_server import DEBUG
-from raygrid.emulator.topology.socket_directory import Index
+from raygrid.emulator.topology.coordinates import Index, name_of
 
 LONGEST_TAIL = 16_384  # characters of stderr that are kept
 LONGEST_REASON = 300  # characters of a library's line that are passed on
@@ -18,7 +18,7 @@ ENDED_BY_LIBRARY = (127, -int(signal.SIGABRT))
 
 
 class StderrLog:
-    """What nursery and nodes write to stderr, from a descriptor that is read without waiting.
+    """Reads what fork server and nodes write to stderr, from a descriptor and without waiting.
 
     closed   all who could write to it are gone
     tail     the end of what was written
@@ -60,7 +60,7 @@ class StderrLog:
 
         status   how the node ended: its exit code, or minus the number of a signal
         """
-        words = self._of_node.pop(",".join(map(str, index)), "")
+        words = self._of_node.pop(name_of(index), "")
         if status in ENDED_BY_LIBRARY:  # others may have ended since the library wrote it
             words, self._of_library = words or self._of_library, ""
         return words

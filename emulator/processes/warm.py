@@ -1,4 +1,4 @@
-"""Make every kernel ready before the first node needs it: loaded from the cache on disk, or compiled once.
+"""Makes every kernel ready before the first node needs it: loaded from the cache on disk, or compiled once.
 
 A tiny in-memory array renders a tiny scene that has every kind of surface, light and ray, so every kernel is
 called with exactly the argument types that nodes use. Each function that has to be compiled is reported, so that

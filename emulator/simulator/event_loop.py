@@ -1,4 +1,4 @@
-"""The simulator's compiled loop: all processors of an array in one process, in machine time.
+"""Runs all processors of an array in one process and in machine time: the simulator's compiled loop.
 
 The loop knows nothing of services and their order: that is `node.timed.service_clock`, which the processes call too. It decides
 which node's turn it is. Nothing that is decided at tick t arrives anywhere before t + lookahead, so within a stretch
@@ -18,9 +18,23 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.node.geometry import HOST, PORTS, Cell, Surfaces, coordinate
+from raygrid.node.geometry import HOST, PORTS, Cell, Space, Surfaces, coordinate
 from raygrid.node.jit import lean, part
-from raygrid.node.protocol import BORN, COUNTS, DIED, HEAD, KINDS, NEVER_TICK, PIXEL, PRIMARY, RETURN, SIZE, put_pixel
+from raygrid.node.protocol import (
+    BORN,
+    COUNTS,
+    DIED,
+    HEAD,
+    KINDS,
+    NEVER_TICK,
+    PIXEL,
+    PRIMARY,
+    RETURN,
+    SIZE,
+    Frame,
+    Prices,
+    put_pixel,
+)
 from raygrid.node.timed import (
     HOPS_AT,
     MOST_HOPS,
@@ -28,6 +42,7 @@ from raygrid.node.timed import (
     RECORD_BYTES,
     RECORD_WORDS,
     TICK,
+    ServiceClock,
     arrival,
     decides,
     give_back,
@@ -37,7 +52,7 @@ from raygrid.node.timed import (
     spawned,
     take,
 )
-from raygrid.node.tracing import spawn_sample
+from raygrid.node.tracing import Outputs, Pixels, spawn_sample
 
 Long = NDArray[np.int64]
 
@@ -46,20 +61,32 @@ BINS = 4096  # of time, for what is counted over time; each becomes twice as lon
 HOPS = 512  # of the histogram; more are counted in the last
 
 DONE, NO_ROOM, TURN = 0, 1, 2  # why `run` returns
-NOW, IN_WHEEL, EVENTS, BIN_SHIFT, HOST_TICK = 0, 1, 2, 3, 4  # places in Wheel.state
+LOOP_STATE = np.dtype(
+    [
+        ("now", np.int64),  # the stretch of time that is looked at
+        ("in_wheel", np.int64),  # nodes that have a place in the wheel
+        ("events", np.int64),  # carried out so far
+        ("bin_shift", np.int64),  # log2 of the ticks of a bin of Watch.bins
+        ("host_tick", np.int64),  # at which the last packet reached the host
+    ]
+)
 WAITS, SERVICES, LINKS = 0, 1, 2  # rows of Watch.bins
 
 
 class Wheel(NamedTuple):
-    """firsts: int64 (STRETCHES,), first node of each stretch or -1; shift: log2 of its ticks; state: int64 (8,)"""
+    """Which node decides next.
+
+    firsts  int64 (STRETCHES,), first node of each stretch or -1; shift: log2 of its ticks
+    state   LOOP_STATE (1,)
+    """
 
     firsts: Long
     shift: int
-    state: Long
+    state: NDArray[np.void]
 
 
 class Watch(NamedTuple):
-    """What is counted beside the nodes' own books.
+    """What is counted beside the nodes' own counts.
 
     total  int64 (COUNTS,), counts of all steps
     hops   int64 (KINDS, HOPS), packets that died after so many hops
@@ -73,7 +100,7 @@ class Watch(NamedTuple):
 
 
 class PrimaryOrder(NamedTuple):
-    """What nodes bear when no packet waits: rays of samples, or pixel packets.
+    """What nodes emit when no packet waits: rays of samples, or pixel packets.
 
     samples  uint32 (n,), sorted by node; node k has rows `next_primary` to `last_primary` - 1
     pixels   whether they are pixels
@@ -83,17 +110,39 @@ class PrimaryOrder(NamedTuple):
     pixels: bool
 
 
+class Simulation(NamedTuple):
+    """An array and a phase of its work: all that the loop needs.
+
+    roots     int64 (n, 2): rows of surfaces.floats of node k are roots[k, 0] to roots[k, 1] - 1
+    scratch   uint8 (SIZE,), a new packet; counts: int64 (COUNTS,), of one service
+    """
+
+    timed: ServiceClock
+    wheel: Wheel
+    watch: Watch
+    space: Space
+    frame: Frame
+    surfaces: Surfaces
+    roots: Long
+    pixels: Pixels
+    primaries: PrimaryOrder
+    scratch: NDArray[np.uint8]
+    outputs: Outputs
+    counts: Long
+    prices: Prices
+
+
 @part
 def _enter(wheel, nodes, k, tick):
     """Put node k, which has no place in the wheel, into the stretch of `tick`."""
     nodes[k]["wake"] = tick
-    stretch = min(tick >> wheel.shift, wheel.state[NOW] + len(wheel.firsts) - 1) & (len(wheel.firsts) - 1)
+    stretch = min(tick >> wheel.shift, wheel.state[0]["now"] + len(wheel.firsts) - 1) & (len(wheel.firsts) - 1)
     after = wheel.firsts[stretch]
     nodes[k]["wake_before"], nodes[k]["wake_after"] = -1 - stretch, after
     if after >= 0:
         nodes[after]["wake_before"] = k
     wheel.firsts[stretch] = k
-    wheel.state[IN_WHEEL] += 1
+    wheel.state[0]["in_wheel"] += 1
 
 
 @part
@@ -107,12 +156,13 @@ def _leave(wheel, nodes, k):
     if after >= 0:
         nodes[after]["wake_before"] = before
     nodes[k]["wake"] = -1
-    wheel.state[IN_WHEEL] -= 1
+    wheel.state[0]["in_wheel"] -= 1
 
 
 @part
-def _wake(wheel, timed, k, tick):
+def _wake(sim, k, tick):
     """A packet arrives at node k at `tick`."""
+    wheel, timed = sim.wheel, sim.timed
     wake = timed.nodes[k]["wake"]
     if wake < 0:
         _enter(wheel, timed.nodes, k, max(tick, timed.nodes[k]["free"]))
@@ -122,16 +172,17 @@ def _wake(wheel, timed, k, tick):
 
 
 @part
-def _count_time(watch, wheel, row, begin, end):
+def _count_time(sim, row, begin, end):
     """One more from tick `begin` on, one fewer from `end` on."""
-    while end >> wheel.state[BIN_SHIFT] >= BINS:
-        wheel.state[BIN_SHIFT] += 1
+    watch, wheel = sim.watch, sim.wheel
+    while end >> wheel.state[0]["bin_shift"] >= BINS:
+        wheel.state[0]["bin_shift"] += 1
         for line in range(3):
             for k in range(BINS // 2):
                 watch.bins[line, k] = watch.bins[line, 2 * k] + watch.bins[line, 2 * k + 1]
             watch.bins[line, BINS // 2 :] = 0
-    watch.bins[row, begin >> wheel.state[BIN_SHIFT]] += 1
-    watch.bins[row, end >> wheel.state[BIN_SHIFT]] -= 1
+    watch.bins[row, begin >> wheel.state[0]["bin_shift"]] += 1
+    watch.bins[row, end >> wheel.state[0]["bin_shift"]] -= 1
 
 
 @part
@@ -175,54 +226,59 @@ def held_by(surfaces, first, last):
 
 
 @part
-def _spawn_next(timed, k, tick, cell, space, frame, pixels, births, scratch, watch, outputs, prices):
+def _spawn_next(sim, k, tick, cell):
     """The next ray or pixel packet of a node."""
-    number = np.int64(births.samples[timed.nodes[k]["next_primary"]])
+    timed, frame, pixels, scratch, prices = sim.timed, sim.frame, sim.pixels, sim.scratch, sim.prices
+    number = np.int64(sim.primaries.samples[timed.nodes[k]["next_primary"]])
     timed.nodes[k]["next_primary"] += 1
-    if births.pixels:
+    if sim.primaries.pixels:
         sums = (pixels.sums[number, 0], pixels.sums[number, 1], pixels.sums[number, 2])
         put_pixel(scratch, 0, number, sums, frame.samples & 0xFFFF)
-        watch.total[BORN + PIXEL] += 1
+        sim.watch.total[BORN + PIXEL] += 1
         spawned(timed, k, tick, scratch, 0, prices.counts[BORN + PIXEL])
     else:
         pixel = number // frame.samples
         j = pixel // frame.width
         i, sample = pixel - j * frame.width, number - pixel * frame.samples
-        made = spawn_sample(cell, space, frame, pixels, i, j, pixel, sample, scratch, outputs.seen)
-        watch.total[BORN + PRIMARY] += made
+        made = spawn_sample(cell, sim.space, frame, pixels, i, j, pixel, sample, scratch, sim.outputs.seen)
+        sim.watch.total[BORN + PRIMARY] += made
         spawned(timed, k, tick, scratch, 0, prices.counts[BORN + PRIMARY])
 
 
 @part
-def _deliver(timed, wheel, watch, space, outputs, k, done, hops, handed_on, prices):
+def _deliver(sim, k, done, hops, handed_on):
     """Put what node k sends into the queues of its neighbours."""
-    nx, nxy = space.shape[0], space.shape[0] * space.shape[1]
+    timed, outputs = sim.timed, sim.outputs
+    nx, nxy = sim.space.shape[0], sim.space.shape[0] * sim.space.shape[1]
     nth = np.int64(0)
     for port in range(PORTS + 1):
         for packet in range(outputs.held[port]):
-            tick = arrival(timed, k, port, done, nth, prices)
+            tick = arrival(timed, k, port, done, nth, sim.prices)
             nth += 1
             if port == HOST:
-                wheel.state[HOST_TICK] = max(wheel.state[HOST_TICK], tick)
+                sim.wheel.state[0]["host_tick"] = max(sim.wheel.state[0]["host_tick"], tick)
                 continue
             stride = 1 if port < 2 else (nx if port < 4 else nxy)
             to = k + stride if port & 1 else k - stride
             so_far = min(hops + 1, MOST_HOPS) if handed_on else 1
             put(timed, to, port ^ 1, tick, port ^ 1, so_far, outputs.data[port], HEAD + packet * SIZE)
-            _count_time(watch, wheel, LINKS, done, tick)
-            _wake(wheel, timed, to, tick)
+            _count_time(sim, LINKS, done, tick)
+            _wake(sim, to, tick)
         outputs.held[port] = 0
 
 
 @part
-def _serve_next(timed, k, tick, wheel, watch, cell, space, frame, surfaces, pixels, outputs, counts, prices):
+def _serve_next(sim, k, tick, cell, surfaces):
     """Serve the next packet of node k and send on what comes of it."""
+    timed, watch, counts = sim.timed, sim.watch, sim.counts
     slot = take(timed, k, tick)
     arrived = timed.words[slot * RECORD_WORDS + TICK]
     byte = slot * RECORD_BYTES
     kind = np.int64(timed.bytes[byte + PACKET]) & 7
     hops = np.int64(timed.bytes[byte + HOPS_AT]) | np.int64(timed.bytes[byte + HOPS_AT + 1]) << 8
-    done = serve(timed, k, slot, tick, cell, space, frame, surfaces, pixels, outputs, counts, prices)
+    done = serve(
+        timed, k, slot, tick, cell, sim.space, sim.frame, surfaces, sim.pixels, sim.outputs, counts, sim.prices
+    )  # fmt: skip
     give_back(timed, slot)
     for count in range(COUNTS):
         watch.total[count] += counts[count]
@@ -232,40 +288,38 @@ def _serve_next(timed, k, tick, wheel, watch, cell, space, frame, surfaces, pixe
     if kind != RETURN:
         watch.hops[RETURN, 0] += counts[DIED + RETURN]
     if arrived < tick:
-        _count_time(watch, wheel, WAITS, arrived, tick)
-    _count_time(watch, wheel, SERVICES, tick, timed.nodes[k]["free"])
-    _deliver(timed, wheel, watch, space, outputs, k, done, hops, not dead, prices)
+        _count_time(sim, WAITS, arrived, tick)
+    _count_time(sim, SERVICES, tick, timed.nodes[k]["free"])
+    _deliver(sim, k, done, hops, not dead)
 
 
 @lean
-def run(timed, wheel, watch, space, frame, surfaces, roots, pixels, births, scratch, outputs, counts, prices, most):
-    """Carry out events until nothing is left to do (DONE), the store is full (NO_ROOM) or `most` are done (TURN).
-
-    roots  int64 (n, 2): rows of surfaces.floats of node k are roots[k, 0] to roots[k, 1] - 1
-    """
-    need = frame.n_lights + 4
-    stop = wheel.state[EVENTS] + most
-    while wheel.state[IN_WHEEL] > 0:
-        stretch = wheel.state[NOW]
+def run(sim, most):
+    """Carry out events until nothing is left to do (DONE), the store is full (NO_ROOM) or `most` are done (TURN)."""
+    timed, wheel = sim.timed, sim.wheel
+    need = sim.frame.n_lights + 4
+    stop = wheel.state[0]["events"] + most
+    while wheel.state[0]["in_wheel"] > 0:
+        stretch = wheel.state[0]["now"]
         while wheel.firsts[stretch & (len(wheel.firsts) - 1)] < 0:
             stretch += 1
-        wheel.state[NOW] = stretch
+        wheel.state[0]["now"] = stretch
         k = wheel.firsts[stretch & (len(wheel.firsts) - 1)]
         end = (stretch + 1) << wheel.shift
         tick = timed.nodes[k]["wake"]
-        if tick < end and (timed.spare[1] < need or wheel.state[EVENTS] >= stop):
+        if tick < end and (timed.spare[1] < need or wheel.state[0]["events"] >= stop):
             return NO_ROOM if timed.spare[1] < need else TURN
         _leave(wheel, timed.nodes, k)
-        cell = cell_of(space, k)
+        cell = cell_of(sim.space, k)
         while tick < end and timed.spare[1] >= need:
-            wheel.state[EVENTS] += 1
+            wheel.state[0]["events"] += 1
             queue_arrivals(timed, k, tick)
             if timed.nodes[k]["waiting"] > 0:
-                here = held_by(surfaces, roots[k, 0], roots[k, 1])
-                _serve_next(timed, k, tick, wheel, watch, cell, space, frame, here, pixels, outputs, counts, prices)
+                here = held_by(sim.surfaces, sim.roots[k, 0], sim.roots[k, 1])
+                _serve_next(sim, k, tick, cell, here)
             else:
-                _spawn_next(timed, k, tick, cell, space, frame, pixels, births, scratch, watch, outputs, prices)
-                _count_time(watch, wheel, SERVICES, tick, timed.nodes[k]["free"])
+                _spawn_next(sim, k, tick, cell)
+                _count_time(sim, SERVICES, tick, timed.nodes[k]["free"])
             tick = decides(timed, k, timed.nodes[k]["next_primary"] < timed.nodes[k]["last_primary"])
         if tick < NEVER_TICK:
             _enter(wheel, timed.nodes, k, tick)
@@ -274,7 +328,7 @@ def run(timed, wheel, watch, space, frame, surfaces, roots, pixels, births, scra
 
 @lean
 def enter_all(timed, wheel):
-    """Put every node that has something to bear into the wheel."""
+    """Put every node that has something to emit into the wheel."""
     for k in range(len(timed.nodes)):
         if timed.nodes[k]["next_primary"] < timed.nodes[k]["last_primary"]:
             _enter(wheel, timed.nodes, k, timed.nodes[k]["free"])

@@ -1,4 +1,4 @@
-"""What each of very many cells holds, worked out at once: for the simulator, whose nodes share one process.
+"""Works out at once what each of very many cells holds: for the simulator, whose nodes share one process.
 
 The rule is that of the flood (`node.geometry.overlap`): a cell holds the surfaces that meet it. Only the cells that a surface's
 box reaches are looked at, so empty cells cost nothing.
@@ -9,9 +9,6 @@ finds the same ones (law 4). For nodes with a hierarchy each (`trees`) these are
 in one set of tables.
 """
 
-# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
-# kernels: numba infers their types
-
 from __future__ import annotations
 
 from typing import Any, NamedTuple
@@ -19,18 +16,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raygrid.emulator.simulator.kernels import relocate_leaves, touched_cells
 from raygrid.node.geometry import (
-    CHILD_COLUMN,
     COUNT_SHIFT,
-    FIRST_MASK,
     HALF,
     KIND_SHIFT,
     LATTICE,
-    LEAF_BIT,
     NODE_WORDS,
     SLACK,
     STORED_AS,
-    WIDE,
     AnyKind,
     Batch,
     Kind,
@@ -41,9 +35,7 @@ from raygrid.node.geometry import (
     make_cell,
     make_space,
     merge,
-    surface_meets,
 )
-from raygrid.node.jit import kernel, part
 from raygrid.node.tracing import build_surfaces, empty_surfaces
 
 Long = NDArray[np.int64]
@@ -107,41 +99,6 @@ def described(surfaces: SurfaceSet) -> Described:
     return Described(kinds, rows, table, points, starts, boxes, sizes)
 
 
-@part
-def described_meets(every, surface, low, high, scratch):
-    """Whether a surface meets the box low..high, already widened. `scratch`: float64 (3, 3)."""
-    data = every.points if every.kinds[surface] == 2 else every.table
-    return surface_meets(every.kinds[surface], data, every.starts, every.boxes, surface, low, high, scratch)
-
-
-@kernel
-def _touched(every, low_at, high_at, shape, cells, surfaces):
-    """Write (cell, surface) of each surface and cell that meet, as many as there is room for; returns how many do."""
-    scratch, low, high = np.empty((3, 3)), np.empty(3), np.empty(3)
-    first, last = np.empty(3, np.int64), np.empty(3, np.int64)
-    found = 0
-    for surface in range(len(every.kinds)):
-        for axis in range(3):
-            first[axis], last[axis] = shape[axis], -1
-            for k in range(shape[axis]):
-                if (
-                    low_at[axis, k] <= every.boxes[surface, 1, axis]
-                    and high_at[axis, k] >= every.boxes[surface, 0, axis]
-                ):
-                    first[axis], last[axis] = min(first[axis], k), k
-        for z in range(first[2], last[2] + 1):
-            low[2], high[2] = low_at[2, z], high_at[2, z]
-            for y in range(first[1], last[1] + 1):
-                low[1], high[1] = low_at[1, y], high_at[1, y]
-                for x in range(first[0], last[0] + 1):
-                    low[0], high[0] = low_at[0, x], high_at[0, x]
-                    if described_meets(every, surface, low, high, scratch):
-                        if found < len(cells):
-                            cells[found], surfaces[found] = (z * shape[1] + y) * shape[0] + x, surface
-                        found += 1
-    return found
-
-
 def shared_geometry(surfaces: SurfaceSet, space: Space) -> SharedGeometry:
     """What each cell holds of surfaces in the order of `ordered`."""
     nx, ny, nz = space.shape
@@ -155,7 +112,7 @@ def shared_geometry(surfaces: SurfaceSet, space: Space) -> SharedGeometry:
     while many > room:
         room = many
         cells, found = np.empty(room, np.int64), np.empty(room, np.int64)
-        many = _touched(every, low_at, high_at, space.shape, cells, found)
+        many = touched_cells(every, low_at, high_at, space.shape, cells, found)
     cells, found = cells[:many], found[:many]
     order = np.lexsort((found, cells))
     kinds, rows = every.kinds[found[order]], every.rows[found[order]]
@@ -175,17 +132,6 @@ def one_hierarchy(surfaces: SurfaceSet, space: Space, held: SharedGeometry) -> t
     roots = np.zeros((len(held.held), 2), np.int64)
     roots[held.held.any(axis=1), 1] = len(built.floats)
     return built, roots
-
-
-@kernel
-def _relocate(words, first):
-    """Let the leaves of a hierarchy name items from `first` on."""
-    for node in range(len(words)):
-        for lane in range(CHILD_COLUMN, CHILD_COLUMN + WIDE):
-            child = np.int64(words[node, lane])
-            if child >= LEAF_BIT:
-                kept = child - (child & FIRST_MASK)
-                words[node, lane] = np.uint32(kept | ((child & FIRST_MASK) + first))
 
 
 def trees(surfaces: SurfaceSet, space: Space, held: SharedGeometry) -> tuple[Surfaces, Long]:
@@ -210,7 +156,7 @@ def trees(surfaces: SurfaceSet, space: Space, held: SharedGeometry) -> tuple[Sur
         box[:, 0] = np.minimum(box[:, 0], box[:, 1])
         within, floats = build(box, held.kinds[first:last].astype(np.int8))
         order[first:last] = first + within
-        _relocate(floats.view(np.uint32), first)
+        relocate_leaves(floats.view(np.uint32), first)
         roots[number] = nodes, nodes + len(floats)
         nodes += len(floats)
         made.append(floats)

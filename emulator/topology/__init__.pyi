@@ -1,3 +1,6 @@
+from .coordinates import Index as Index
+from .coordinates import indices as indices
+from .coordinates import name_of as name_of
 from .limits import parse_shape as parse_shape
 from .limits import read_memory as read_memory
 from .process_stat import STATES as STATES
@@ -6,4 +9,3 @@ from .process_stat import process_state as process_state
 from .process_stat import process_times as process_times
 from .socket_directory import LONGEST_PATH as LONGEST_PATH
 from .socket_directory import SocketDirectory as SocketDirectory
-from .topology import indices as indices

@@ -1,17 +1,17 @@
-"""What the machine can need at most: packets in flight, and memory of a node (law 6). Stated here, held by tests.
+"""States what the machine can need at most: packets in flight, and memory of a node (law 6). Held by tests.
 
 Trees. A primary ray, with all that descends from it, is a tree; the tree is alive while any packet of it is. The
-driver lets homes bear primaries so that never more trees are alive than the budget, or than there are homes if these
-are more (`driver._quota` says why).
+driver lets homes emit primaries so that never more trees are alive than the budget, or than there are homes if these
+are more (`driver.admission.next_quota` says why).
 
-Packets of a tree. A ray of depth d that hits something dies and bears at most one shadow ray a light, and at most
+Packets of a tree. A ray of depth d that hits something dies and emits at most one shadow ray a light, and at most
 `branches` rays of depth d + 1 if d is below the frame's depth. A shadow ray, or a ray that leaves the scene, dies
-and bears at most one return. So with L lights, depth D and b branches the most packets of a tree alive at once are
+and emits at most one return. So with L lights, depth D and b branches the most packets of a tree alive at once are
 
     A(D) = max(1, L)        A(d) = max(1, L + b A(d + 1))        A(1) = L (1 + b + ... + b^(D-1)) if L > 0
 
 and likewise the most rays max(1, b^(D-1)), and the most shadow rays the sum above. Nothing in the order of work can
-be counted on to keep it lower: what one node bears another one may be slow to serve. So
+be counted on to keep it lower: what one node emits another one may be slow to serve. So
 
     packets in flight <= max(budget, homes) x A(1)
 
@@ -25,7 +25,7 @@ Flood. Credit for a message of surfaces goes back when the node has handed its s
 more than CLOGGED messages wait on a link. So at most WINDOW of them wait to be read for each link, and at most
 CLOGGED + 1 on each link on which they go out.
 
-Memory of a node. All packets may be in one node. There each is in a stack of the backlog, in an output, or in a
+Memory of a node. All packets may be in one node. There each is in a stack of the work queues, in an output, or in a
 message that waits in a link; stacks grow by doubling and keep their size until the next frame. Beside that a node
 has its surfaces, with the tables made from them, and its pixel store. Not counted are the interpreter, the
 compiled kernels, and what ZeroMQ holds: WINDOW messages a direction of each link at most.
@@ -71,7 +71,7 @@ class Growth(NamedTuple):
 
 
 def branches_of(frame: Frame) -> int:
-    """Rays that one hit can bear: 0, 1 or 2."""
+    """Rays that one hit can emit: 0, 1 or 2."""
     reflects = (frame.materials[:, SPECULAR : SPECULAR + 3] > 0.0).any(axis=1)
     transmits = (frame.materials[:, TRANSMISSION : TRANSMISSION + 3] > 0.0).any(axis=1)
     return int(np.max(reflects.astype(np.int64) + transmits, initial=0))

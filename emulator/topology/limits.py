@@ -1,4 +1,4 @@
-"""Whether an array fits this computer: descriptors, processes and memory, before anything is started.
+"""Checks whether an array fits this computer: descriptors, processes and memory, before anything is started.
 
 What an array needs of each is a fixed part and a part for each node. What there is comes from the process limits,
 the kernel's own limits, /proc/meminfo and the control groups (version 1 and 2), whichever leaves least.
@@ -22,10 +22,10 @@ Shape = tuple[int, int, int]
 LARGEST_AXIS = 0xFFFF  # cells of an axis; packets and orders name them by a u16
 
 NODE_DESCRIPTORS = 25  # of one node: six links, a host link, the two global lines, ZeroMQ's own
-HOST_DESCRIPTORS = 100 + 8 * 3  # scene and picture files, the nursery's pipes; eight corner sockets
+HOST_DESCRIPTORS = 100 + 8 * 3  # scene and picture files, the fork server's pipes; eight corner sockets
 HOST_DESCRIPTORS_A_NODE = 2  # the host's end of its line, and another one while it is forked anew
 NODE_TASKS = 3  # the node, and the two threads of its ZeroMQ context (measured)
-FIXED_TASKS = 3  # the nursery, and the host's two ZeroMQ threads
+FIXED_TASKS = 3  # the fork server, and the host's two ZeroMQ threads
 NODE_BYTES = 14_000_000  # private memory of a node without surfaces
 FORK_SERVER_BYTES = 200_000_000  # numba, LLVM and the kernels, once
 UNLIMITED = 1 << 62  # control groups of version 1 write "no limit" as a number of about this size

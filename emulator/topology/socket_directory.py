@@ -1,4 +1,4 @@
-"""The private directory that holds the sockets of one array, and the names of the sockets in it.
+"""Makes and removes the private directory that holds the sockets of one array, and names the sockets in it.
 
 Whoever may open a socket may speak to a node, so the directory is ours alone (mode 0700), fresh, and has a name
 that cannot be guessed. An ipc path has at most 107 bytes, so it lies high up in the tree: in $XDG_RUNTIME_DIR if
@@ -21,10 +21,9 @@ import time
 from contextlib import suppress
 from typing import Self
 
+from raygrid.emulator.topology.coordinates import Index
 from raygrid.emulator.topology.process_stat import pid_namespace, process_mark
 from raygrid.node.errors import ArrayError
-
-Index = tuple[int, int, int]
 
 PREFIX = "raygrid-"
 NAME_BYTES = 6  # of chance

@@ -1,14 +1,16 @@
-"""Which processors there are, and which pairs of them are wired."""
+"""Wires the processors of an array: neighbours to each other, the host to the corners, surfaces to the nearest corner."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from raygrid.emulator.topology.coordinates import Index, beyond, indices
 from raygrid.node.geometry import HOST, corners
 from raygrid.node.links import Channel, Link
-
-Index = tuple[int, int, int]
 
 
 class Wiring(NamedTuple):
@@ -29,22 +31,22 @@ class Wiring(NamedTuple):
         return 2 * self.axis
 
 
-def indices(shape: Index) -> Iterator[Index]:
-    """Every cell, x fastest."""
-    for z in range(shape[2]):
-        for y in range(shape[1]):
-            for x in range(shape[0]):
-                yield (x, y, z)
-
-
 def neighbour_links(shape: Index) -> Iterator[Wiring]:
     """Every link between two face neighbours, once."""
     for index in indices(shape):
         for axis in range(3):
             if index[axis] + 1 < shape[axis]:
-                upper = list(index)
-                upper[axis] += 1
-                yield Wiring(index, (upper[0], upper[1], upper[2]), axis)
+                yield Wiring(index, beyond(index, 2 * axis + 1), axis)
+
+
+def nearest_corners(middles: NDArray[np.float64], shape: Index) -> NDArray[np.int64]:
+    """The corner, int64 (n,), at which the host deals each surface, by the surface's middle, float64 (n, 3), machine
+    coordinates: bit a is set for the upper end of axis a. Axes of one cell have no upper end."""
+    found = np.zeros(len(middles), np.int64)
+    for axis in range(3):
+        if shape[axis] > 1:
+            found |= (middles[:, axis] >= 0.0).astype(np.int64) << axis
+    return found
 
 
 def host_links(shape: Index, channels: Mapping[int, Channel], machine: str, epoch: int) -> dict[int, Link]:

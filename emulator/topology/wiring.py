@@ -1,11 +1,12 @@
-"""What each node is told of one epoch: itself, its ports and their endpoints, and nothing of any other node."""
+"""Tells each node what it must know of one epoch: itself, its ports and their endpoints, and nothing of any other node."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from raygrid.emulator.topology.socket_directory import Index, endpoint, host_endpoint
-from raygrid.emulator.topology.topology import indices, neighbour_links
+from raygrid.emulator.topology.coordinates import Index, indices
+from raygrid.emulator.topology.socket_directory import endpoint, host_endpoint
+from raygrid.emulator.topology.topology import neighbour_links
 from raygrid.node.geometry import HOST, corners
 
 Config = dict[str, Any]

@@ -117,9 +117,9 @@ def _json_option(command: Command) -> Command:
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors.")
 def up(**options: Any) -> None:
     """Launch an array that stays, and return when it is ready."""
-    from raygrid.host.cli.commands.up import Launch, run_up
+    from raygrid.host.cli.commands.up import UpRequest, run_up
 
-    run_up(Launch(**options))
+    run_up(UpRequest(**options))
 
 
 @click.command("list", epilog=LIST_EXAMPLES)

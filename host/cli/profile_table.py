@@ -8,14 +8,14 @@ from typing import TypedDict
 from raygrid.node.runtime import PARTS
 
 
-class NodeReport(TypedDict):
+class NodeProfile(TypedDict):
     """What is used here of the record of a node: its coordinates, and seconds by part."""
 
     index: list[int]
     profile: dict[str, float]
 
 
-def profile_table(nodes: Iterable[NodeReport]) -> list[str]:
+def profile_table(nodes: Iterable[NodeProfile]) -> list[str]:
     """Lines of text: a head, a line a node, one for all of them. `nodes`: records with `profile`, seconds by part."""
     rows = [(",".join(map(str, node["index"])), node["profile"]) for node in nodes]
     total = {part: sum(seconds[part] for _, seconds in rows) for part in PARTS}

@@ -112,7 +112,7 @@ class ProgressReporter:
             click.echo(text, err=True)
 
     def warming(self, done: int, total: int, what: str) -> None:
-        """Told by the nursery of each function that it had to compile, which only a first run does, and of remarks."""
+        """Told by the fork server of each function that it had to compile, which only a first run does, and of remarks."""
         if what.startswith(NOTE):
             self.remark(what.removeprefix(NOTE))
             return

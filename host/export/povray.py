@@ -1,8 +1,8 @@
-"""A scene as a file for POV-Ray 3.7 that renders the same picture by the same rules: `raygrid export`.
+"""Exports a scene as a file for POV-Ray 3.7 that renders the same picture by the same rules: `raygrid export`.
 
 What is the same: camera and pixel middles, lights, shadows of everything (transparent surfaces too), Whitted's shading
 without ambient light, the greatest depth of the ray tree, linear light. What POV-Ray cannot do, or does in another
-way, is said in the comment at the head of the file. Surfaces and materials are written by `export_surfaces`.
+way, is said in the comment at the head of the file. Surfaces and materials are written by `povray_surfaces`.
 
 POV-Ray keeps secondary rays off their surfaces by fixed lengths of about 1/1000, so the numbers are multiplied by a
 power of ten that makes scenes of any size large against that.
@@ -20,7 +20,7 @@ from raygrid.host.export.povray_surfaces import MaterialWriter, surface_lines, v
 from raygrid.host.files.input_guard import check_outputs, note, noted
 from raygrid.host.image.outputs import check_path, write_whole
 from raygrid.host.render.machine_job import DEFAULT_DEPTH, DEFAULT_SIZE
-from raygrid.host.scene.animation.animation import frame_told, still
+from raygrid.host.scene.animation.scene_frames import frame_told, still
 from raygrid.host.scene.cameras import Camera, Span
 from raygrid.host.scene.load import load_scene
 from raygrid.host.scene.scene import Scene
@@ -44,7 +44,7 @@ def export_file(
 ) -> str:
     """Read a scene and write it by `export_pov`; returns the path written, the scene's name with .pov by default.
 
-    frame   of a shot, None for its first; `tell` is told of which
+    frame   of an animation, None for its first; `tell` is told of which
     Raises SceneError and OutputError.
     """
     path = Path(scene).stem + ".pov" if output is None else str(output)
@@ -71,7 +71,7 @@ def export_pov(
 
     depth       greatest depth of the ray tree; None: what the scene's file asks for, else 5
     highlights  whether materials' highlights are used; None: as the scene's file has it
-    frame       of a shot, None for its first
+    frame       of an animation, None for its first
     Raises SceneError for a scene without surfaces, OutputError if the file cannot be written.
     """
     if len(scene.surfaces) == 0:

@@ -1,4 +1,4 @@
-"""Surfaces and materials in POV-Ray's words, for `export`.
+"""Writes surfaces and materials in POV-Ray's language, for `export`.
 
 Triangles become meshes (`mesh2`), everything else the primitive of the same name. POV-Ray decides whether a ray enters
 a body or leaves it by remembering the bodies that it is in, so all flat surfaces, cones and meshes of one transparent
@@ -36,7 +36,7 @@ class MaterialWriter:
         self.transparent: NDArray[np.bool_] = np.any(materials["transmission"] > 0.0, axis=1)
 
     def differences(self, surfaces: SurfaceSet) -> Iterator[str]:
-        """What cannot be said in POV-Ray's words of the materials that are used."""
+        """Tell what POV-Ray cannot do of the materials that are used."""
         rows = self._materials[self._used(surfaces)]
         mirrors, clear = rows["specular"].any(axis=1), rows["transmission"].any(axis=1)
         if self._highlights and np.any(np.ptp(rows["highlight"], axis=1) > 0.0):

@@ -1,4 +1,4 @@
-"""What a command reads, so that no output is ever laid over it.
+"""Notes the files that a command reads, and refuses outputs that would replace one of them.
 
     with noted() as inputs:         # the command line for each command, the worker of a service for each frame
         ...                         # whoever reads a file says so: note(path)
@@ -23,7 +23,7 @@ STANDARD = "-"  # standard output
 
 
 class Inputs:
-    """The files that were read, by path: what each is for."""
+    """Maps the path of each file that was read to its purpose."""
 
     def __init__(self) -> None:
         self.files: dict[str, str] = {}
@@ -34,7 +34,7 @@ class Inputs:
             self.files.setdefault(os.path.abspath(path), what)
 
     def by_identity(self) -> dict[Hashable, str]:
-        """What each file is for, by its identity."""
+        """Return the purpose of each file by its identity."""
         return {identity(path): what for path, what in self.files.items()}
 
 
@@ -61,7 +61,7 @@ def note(path: str | os.PathLike[str], what: str = "a file that the scene is mad
 
 
 def identity(path: str | os.PathLike[str]) -> Hashable:
-    """What is the same for all ways to one file: its device and number; where there is none yet, its real path."""
+    """Identify a file by its device and number, the same for all ways to it; by its real path if there is none yet."""
     try:
         status = os.stat(path)
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""Files and directories that are there only while something is written, and the removing of those that were left.
+"""Writes files whole or not at all, makes temporary directories, and removes what dead processes left of both.
 
 Who makes one holds a lock on it, which the kernel takes away when that process ends, however it ends. So whoever comes
 next can tell what is left of the dead from what is in use, across containers and computers, too.
@@ -33,7 +33,7 @@ _swept: dict[tuple[str, str], float] = {}  # when this process has looked throug
 
 @contextlib.contextmanager
 def replacing(path: str, suffix: str = "", mode: int = 0o666) -> Iterator[tuple[str, BinaryIO]]:
-    """A new file beside the one at `path`, whose place it takes when the block ends; removed if that fails.
+    """Make a new file beside the one at `path`, whose place it takes when the block ends; removed if that fails.
 
     suffix  of the new file's name until then; mode: of the file, less the umask
     Raises OSError.
@@ -57,7 +57,7 @@ def sweep_folders() -> None:
 
 
 class PartFolder:
-    """A new directory among the temporary ones, ours alone. Raises OSError."""
+    """Owns a new directory among the temporary ones, ours alone. Raises OSError."""
 
     def __init__(self) -> None:
         sweep_folders()

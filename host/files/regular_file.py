@@ -1,4 +1,4 @@
-"""Reading of files that others name: regular ones only, up to a length, so that no reading waits or goes on for ever.
+"""Reads files that others name: regular ones only, up to a length, so that no reading waits or goes on for ever.
 
 A FIFO waits for a writer, a terminal for a key, /dev/zero never ends; some change when they are merely opened. So what a
 name stands for is looked at before it is opened, and again when it is open, as it may be another file by then.
@@ -22,7 +22,7 @@ KINDS = {
 
 
 class Irregular(OSError):
-    """What has the name is no regular file."""
+    """The name is not that of a regular file."""
 
 
 class TooLong(OSError):
@@ -46,7 +46,7 @@ def open_regular(path: str | Path) -> BinaryIO:
 
 
 def read_open(file: BinaryIO, most: int) -> bytes:
-    """All that is in an open file. Raises TooLong if that is more than `most` bytes."""
+    """Read all of an open file. Raises TooLong if that is more than `most` bytes."""
     # What a file says of its length may be wrong, as under /proc, or too little by the time it is read.
     length = os.fstat(file.fileno()).st_size
     parts, left = [], most + 1
@@ -59,7 +59,7 @@ def read_open(file: BinaryIO, most: int) -> bytes:
 
 
 def read_regular(path: str | Path, most: int) -> bytes:
-    """The contents of a regular file. Raises OSError, with Irregular and TooLong among them."""
+    """Read a regular file. Raises OSError, with Irregular and TooLong among them."""
     with open_regular(path) as file:
         return read_open(file, most)
 

@@ -9,7 +9,7 @@ from raygrid.node.errors import ArrayError
 
 
 def state_home() -> Path:
-    """The directory that holds the state directories of all arrays of this user. Raises ArrayError if there is none."""
+    """Return the directory that holds the state directories of all arrays of this user. Raises ArrayError if there is none."""
     given = os.environ.get("XDG_STATE_HOME", "")
     if os.path.isabs(given):
         return Path(given) / "raygrid"

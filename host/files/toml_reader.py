@@ -1,10 +1,9 @@
-"""TOML as tables, within limits: the reader of the standard library makes a table for each part of a key, and more."""
+"""Reads TOML within limits of size and depth: the reader of the standard library makes a table for each part of a key, and more."""
 
 from __future__ import annotations
 
 import re
 import tomllib
-from typing import Any
 
 from raygrid.host.text.clean_text import printable, unreadable
 
@@ -16,8 +15,8 @@ MORE = rf"(?:[ \t]*+\.[ \t]*+{WORD})"
 RUN, DOTTED = re.compile(f"{WORD}{MORE}*+"), re.compile(f"{WORD}{MORE}{{{MOST_PARTS}}}")
 
 
-def read_toml(data: bytes) -> tuple[str, dict[str, Any]]:
-    """The text and its tables. Raises ValueError, saying what is wrong."""
+def read_toml(data: bytes) -> tuple[str, dict[str, object]]:
+    """Return the text and its tables. Raises ValueError, saying what is wrong."""
     if len(data) > LARGEST_TEXT:
         raise ValueError(f"it has {len(data):,} bytes, wanted at most {LARGEST_TEXT:,}")
     text = data.decode("utf-8")

@@ -1,6 +1,6 @@
-"""Files that play: GIF and WebP by Pillow, MP4 where ffmpeg is installed.
+"""Writes files that play: GIF and WebP by Pillow, MP4 where ffmpeg is installed.
 
-The frames of a file wait as PNGs in a directory, so that a long shot does not fill the memory; the file itself appears
+The frames of a file wait as PNGs in a directory, so that a long animation does not fill the memory; the file itself appears
 whole or not at all.
 """
 
@@ -12,7 +12,7 @@ import shutil
 import subprocess
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 from raygrid.host.files.input_guard import check_kept
 from raygrid.host.files.part_files import PartFolder, replacing
@@ -22,6 +22,7 @@ from raygrid.node.errors import OutputError
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+    from PIL.Image import Image
 
 GIF_TICK = 10  # milliseconds; a GIF counts in these, and players take fewer than two of them for ten
 FFMPEG_SECONDS = 60.0  # for it to end, once it has all frames; and a second more for each of them
@@ -40,7 +41,7 @@ def check_played(path: str) -> None:
 
 
 def padding(path: str, width: int, height: int) -> str | None:
-    """What is to be said of a film whose sides its codec cannot have; None: nothing."""
+    """Tell of the black that is added to a film whose sides its codec cannot have; None if there is none."""
     even = width + width % 2, height + height % 2
     if suffix_of(path) != ".mp4" or even == (width, height):
         return None
@@ -49,7 +50,7 @@ def padding(path: str, width: int, height: int) -> str | None:
 
 
 class Reel:
-    """The frames of files that play, as they wait in a directory that is there.
+    """Keeps the frames of files that play, in a directory that is there.
 
     look  called often while a file is written: what it raises ends the writing
     """
@@ -73,11 +74,11 @@ class Reel:
             raise OutputError(f"{picture}: the picture cannot be read ({error.strerror})") from None
 
     def has(self, number: int) -> bool:
-        """Whether a frame waits here."""
+        """Test that a frame waits here."""
         return os.path.isfile(self.file(number))
 
     def file(self, number: int) -> str:
-        """Where a frame waits."""
+        """Return the path of a frame that waits."""
         return os.path.join(self.folder, f"{number:09d}.png")
 
     def play(self, path: str, numbers: Sequence[int], fps: float) -> None:
@@ -93,7 +94,7 @@ class Reel:
             shown = max(1, round(1000.0 / fps))
             write_whole(path, lambda file: _save_all(file, "WEBP", self._images(numbers), shown, {"lossless": True}))
 
-    def _images(self, numbers: Sequence[int]) -> Iterator[Any]:
+    def _images(self, numbers: Sequence[int]) -> Iterator[Image]:
         from PIL import Image
 
         for number in numbers:
@@ -151,14 +152,14 @@ class Reel:
             raise OutputError(f"{path}: the film that ffmpeg wrote has {found} frames, wanted {frames}")
 
 
-def _save_all(file: BinaryIO, kind: str, images: Iterator[Any], shown: int, options: dict[str, Any]) -> None:
+def _save_all(file: BinaryIO, kind: str, images: Iterator[Image], shown: int, options: dict[str, object]) -> None:
     first = next(images)
     first.save(file, kind, save_all=True, append_images=images, duration=shown, loop=0, **options)
 
 
 @contextlib.contextmanager
 def waiting() -> Iterator[Reel]:
-    """A reel in a temporary directory, which is gone at the end. Raises OutputError if none can be made."""
+    """Make a reel in a temporary directory, which is gone at the end. Raises OutputError if none can be made."""
     try:
         folder = PartFolder()
     except OSError as error:

@@ -1,6 +1,6 @@
-"""The files that are written: looked at before the work, and afterwards there whole or not at all.
+"""Checks outputs before the work, and writes them afterwards, each whole or not at all.
 
-`-` is standard output. What is read is never written over (`inputs`).
+`-` is standard output. What is read is never written over (`input_guard`).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from raygrid.node.errors import OutputError
 
 
 class Format(NamedTuple):
-    """How a picture is encoded: Pillow's name, the longest side that the format can hold, and Pillow's options."""
+    """An encoding of pictures: Pillow's name, the longest side that the format can hold, and Pillow's options."""
 
     name: str
     longest: int
@@ -46,7 +46,7 @@ LONGEST_PLAYED = {".gif": 65_535, ".mp4": 16_384}  # sides of files that play; a
 
 
 def suffix_of(path: str | Path) -> str:
-    """The suffix that says what is written; a picture on standard output is a PNG."""
+    """Return the suffix that chooses the format; a picture on standard output is a PNG."""
     return ".png" if os.fspath(path) == STANDARD else Path(path).suffix.lower()
 
 
@@ -158,7 +158,7 @@ def check_side(path: str | Path, width: int, height: int) -> None:
 def write_whole(path: str | Path, write: Callable[[BinaryIO], object]) -> None:
     """Write a file so that it appears whole or not at all; a link is followed, a device is simply written to.
 
-    Raises OutputError if it cannot be written, or is a file that is read (`inputs`), and lets what `write` raises pass;
+    Raises OutputError if it cannot be written, or is a file that is read (`input_guard`), and lets what `write` raises pass;
     neither leaves anything behind.
     """
     check_kept(path)

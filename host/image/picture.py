@@ -1,4 +1,4 @@
-"""The picture: exact sums of the pixel store, and what is written of them."""
+"""Holds the exact sums of a frame's pixels, and encodes them as pictures."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from raygrid.host.image.outputs import FORMATS, SUMS, check_picture_path, check_
 from raygrid.host.image.transfer import TRANSFERS, to_bytes
 from raygrid.node.errors import OutputError
 from raygrid.node.tracing import UNIT
+
+if TYPE_CHECKING:
+    from PIL.PngImagePlugin import PngInfo
 
 MOST_AHEAD = 1 << 22  # pixels of a picture that is encoded in memory
 
@@ -35,11 +38,11 @@ class Picture:
     stats: dict[str, Any]
 
     def linear(self) -> NDArray[np.float64]:
-        """Linear radiance, float64 (height, width, 3): sums / (2^24 samples)."""
+        """Return linear radiance, float64 (height, width, 3): sums / (2^24 samples)."""
         return self.sums / (UNIT * self.samples)
 
     def blank(self) -> str | None:
-        """What to say of a picture that shows nothing, so that nobody takes it for a fault; None if it shows something."""
+        """Explain a picture that shows nothing, so that nobody takes it for a fault; None if it shows something."""
         if self.stats["total"]["hits"] == 0:
             return "no ray of the camera meets a surface: the picture shows the background only"
         if not self.sums.any():
@@ -47,7 +50,7 @@ class Picture:
         return None
 
     def bytes(self, transfer: str = "srgb") -> NDArray[np.uint8]:
-        """The picture as uint8 (height, width, 3), values above 1 cut off. transfer: "srgb" (IEC 61966-2-1) or "linear".
+        """Convert to uint8 (height, width, 3), values above 1 cut off. transfer: "srgb" (IEC 61966-2-1) or "linear".
 
         Raises OutputError for another transfer.
         """
@@ -69,7 +72,7 @@ class Picture:
             write_whole(path, self._encoder(path, transfer, texts))
 
     def encoded(self, path: str | Path, transfer: str = "srgb") -> memoryview:
-        """What `save` writes to a picture of this name. Raises OutputError."""
+        """Encode the picture as `save` writes it under this name. Raises OutputError."""
         file = io.BytesIO()
         self._encoder(path, transfer, None)(file)
         return file.getbuffer()
@@ -127,7 +130,7 @@ def prepare(paths: Sequence[str | Path]) -> None:
         Image.preinit()
 
 
-def _png_texts(texts: Mapping[str, str]) -> Any:
+def _png_texts(texts: Mapping[str, str]) -> PngInfo:
     from PIL.PngImagePlugin import PngInfo
 
     info = PngInfo()

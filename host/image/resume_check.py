@@ -1,4 +1,4 @@
-"""Whether the file of a frame is there, whole, and of just that frame: what `--resume` skips."""
+"""Checks that the files of a frame are there, whole, and of just that frame, which `--resume` then skips."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import contextlib
 import hashlib
 import os
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from raygrid.host.image.outputs import SUMS, suffix_of
 from raygrid.node.errors import RaygridError
@@ -31,14 +32,14 @@ def save_marked(picture: Picture, path: str, transfer: str, digest: str) -> None
 
 
 def nobody(_path: str, _digest: str) -> bool:
-    """Where there is no journal, nothing is recorded."""
+    """Stand in for a journal where there is none: nothing is recorded."""
     return False
 
 
 def frame_is_there(
     files: Sequence[str], stats: str | None, digest: str, size: tuple[int, int], recorded: Recorded = nobody
 ) -> bool:
-    """Whether all files of a frame are there, whole, and of just that frame; statistics need only be there."""
+    """Test that all files of a frame are there, whole, and of just that frame; statistics need only be there."""
     if stats is not None and not os.path.isfile(stats):
         return False
     with contextlib.suppress(RaygridError):  # a journal that cannot be read vouches for nothing
@@ -47,14 +48,14 @@ def frame_is_there(
 
 
 def film_is_there(path: str, digest: str, recorded: Recorded) -> bool:
-    """Whether a file that plays is there as it was written, with that digest."""
+    """Test that a file that plays is there as it was written, with that digest."""
     with contextlib.suppress(RaygridError):
         return os.path.isfile(path) and recorded(path, digest)
     return False
 
 
 def is_whole(path: str, digest: str, width: int, height: int, recorded: Recorded) -> bool:
-    """Whether the file at `path` is the picture of that digest and size, and can be read to its end.
+    """Test that the file at `path` is the picture of that digest and size, and can be read to its end.
 
     recorded  whether the journal says that this file was written with that digest and has not been changed since;
               for a .png the digest inside it is enough
@@ -96,7 +97,7 @@ def _text_of_picture(path: str, width: int, height: int) -> str | None:
     return digest if own else ""
 
 
-def _digest_of_pixels(mode: str, size: tuple[int, ...], pixels: Any) -> str:
+def _digest_of_pixels(mode: str, size: tuple[int, ...], pixels: NDArray[np.generic]) -> str:
     """A digest of what is seen: a picture that was edited has another, whatever its text says."""
     about = f"{mode} {size[0]}x{size[1]} ".encode()
     return hashlib.sha256(about + np.ascontiguousarray(pixels).tobytes()).hexdigest()

@@ -1,4 +1,4 @@
-"""From exact sums to bytes of a picture.
+"""Converts exact sums to the bytes of a picture, by tables.
 
 What a sum becomes is defined by a formula with a power, which takes 16 ns a value. The formula rises with the sum, and so
 slowly that of sums in a range of `1 << shift` there are at most two bytes: so a table says the byte of the first of a
@@ -23,7 +23,7 @@ Sums = NDArray[np.int64]
 
 
 def byte_of(sums: Sums, samples: int, transfer: str) -> NDArray[np.uint8]:
-    """The definition: bytes of sums over so many samples, values above 1 cut off."""
+    """Define the bytes of sums over so many samples, values above 1 cut off."""
     values = np.minimum(sums / (UNIT * samples), 1.0)
     if transfer == "srgb":
         values = np.where(values <= 0.0031308, 12.92 * values, 1.055 * values ** (1 / 2.4) - 0.055)
@@ -31,7 +31,7 @@ def byte_of(sums: Sums, samples: int, transfer: str) -> NDArray[np.uint8]:
 
 
 class TransferTable(NamedTuple):
-    """Bytes of ranges of sums.
+    """Tabulates the bytes of ranges of sums.
 
     top    sums from here on have the last byte
     shift  the range of a sum is its number without so many bits
@@ -46,7 +46,7 @@ class TransferTable(NamedTuple):
 
 
 def make_table(samples: int, transfer: str) -> TransferTable:
-    """The table of a number of samples."""
+    """Make the table of a number of samples."""
     top, shift = int(UNIT) * samples, FINE + samples.bit_length() - 1
     bytes_above = np.arange(1, 256)
     below, least = np.zeros(255, np.int64) - 1, np.full(255, top, np.int64)
@@ -59,7 +59,7 @@ def make_table(samples: int, transfer: str) -> TransferTable:
 
 
 def to_bytes(sums: Sums, samples: int, transfer: str) -> NDArray[np.uint8]:
-    """`byte_of` all of a picture's sums, of the same shape."""
+    """Convert all of a picture's sums as `byte_of` does, uint8 of the same shape."""
     table = make_table(samples, transfer)
     flat, picture = sums.reshape(-1), np.empty(sums.size, np.uint8)
     for start in range(0, len(flat), BLOCK):

@@ -1,4 +1,4 @@
-"""Cost models: what each piece of a node's work costs in ticks. Files of TOML, some built in (`emulator/costs`).
+"""Reads cost models, which price each piece of a node's work in ticks: files of TOML, some built in (`emulator/costs`).
 
 docs/costs.md says what the keys mean and where the numbers come from. Each cost is a list of three whole numbers, low,
 middle and high, or one number that stands for all three.
@@ -10,11 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, Strict, ValidationError
+from pydantic_core import ErrorDetails
 
 from raygrid.host.files.input_guard import note
 from raygrid.host.files.regular_file import read_regular
@@ -50,12 +51,12 @@ MOST_TICKS = 10**12  # so that no sum of ticks leaves 64 bits
 LARGEST_FILE = 1 << 20  # bytes
 
 
-def _whole(value: Any) -> Any:
+def _whole(value: object) -> object:
     """5e6 is a whole number, however TOML sees it."""
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
-def _tripled(value: Any) -> Any:
+def _tripled(value: object) -> object:
     """One number stands for low, middle and high."""
     return [value] * 3 if isinstance(_whole(value), int) and not isinstance(value, bool) else value
 
@@ -217,7 +218,7 @@ def _checked(path: Path, data: bytes) -> CostFile:
     raise CostError(_sentence(path, text, (unknown or faults)[0]))
 
 
-def _sentence(path: Path, text: str, fault: Any) -> str:
+def _sentence(path: Path, text: str, fault: ErrorDetails) -> str:
     """A fault that pydantic found, as one sentence."""
     key: Key = tuple(fault["loc"])
     kind = fault["type"]

@@ -1,10 +1,11 @@
-"""Plots of a simulated frame (needs the extra `plots`): heat maps a layer of processors, and what happens over time."""
+"""Plots a simulated frame (needs the extra `plots`): heat maps a layer of processors, and queues over time."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +16,15 @@ from raygrid.node.errors import OutputError
 from raygrid.node.geometry import PORTS
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
     from raygrid.host.machine_time.simulate import Simulated
 
 FILES = ("busy.png", "links.png", "time.png")
 
 
-def pyplot(*others: str) -> Any:
+def pyplot(*others: str) -> ModuleType:
     """matplotlib without a display. Raises OutputError if it is not installed; others: libraries that are wanted as well."""
     try:
         import matplotlib
@@ -32,7 +36,7 @@ def pyplot(*others: str) -> Any:
     return matplotlib.pyplot
 
 
-def save_figure(figure: Any, path: str | Path) -> None:
+def save_figure(figure: Figure, path: str | Path) -> None:
     """Write a figure whole or not at all, and free it. Raises OutputError."""
     write_whole(path, lambda file: figure.savefig(file, format="png", dpi=120))
     pyplot().close(figure)
@@ -61,7 +65,7 @@ def save_plots(folder: str | Path, done: Simulated) -> list[str]:
     return paths
 
 
-def _layers(values: NDArray[np.float64], shape: tuple[int, int, int], title: str, scale: str) -> Any:
+def _layers(values: NDArray[np.float64], shape: tuple[int, int, int], title: str, scale: str) -> Figure:
     """A picture for each layer of the array, all on one scale."""
     plt = pyplot()
     cube = values.reshape(shape[2], shape[1], shape[0])
@@ -69,23 +73,23 @@ def _layers(values: NDArray[np.float64], shape: tuple[int, int, int], title: str
     down = math.ceil(shape[2] / across)
     size = 2.4 if shape[2] > 1 else 6.0
     wide, high = (max(size * side / max(shape[:2]), 0.8) for side in shape[:2])
+    figure: Figure
     figure, axes = plt.subplots(
         down, across, figsize=(wide * across + 1.8, high * down + 1.4), squeeze=False, layout="constrained"
     )
-    image = None
     for z, axis in enumerate(axes.flat):
         if z >= shape[2]:
             axis.axis("off")
             continue
-        image = axis.imshow(cube[z], origin="lower", vmin=0.0, vmax=max(float(values.max()), 1e-9), cmap="viridis")
+        axis.imshow(cube[z], origin="lower", vmin=0.0, vmax=max(float(values.max()), 1e-9), cmap="viridis")
         axis.set_title(f"z = {z}", fontsize=8)
         _number_processors(axis, z % across == 0, z + across >= shape[2])
-    figure.colorbar(image, ax=axes.ravel().tolist(), label=scale)
+    figure.colorbar(axes.flat[shape[2] - 1].images[0], ax=axes.ravel().tolist(), label=scale)
     figure.suptitle(title, fontsize=9)
     return figure
 
 
-def _number_processors(axis: Any, left: bool, bottom: bool) -> None:
+def _number_processors(axis: Axes, left: bool, bottom: bool) -> None:
     """Whole numbers along the axes of a layer, and their names at the left and the bottom of all layers."""
     from matplotlib.ticker import MaxNLocator
 
@@ -98,12 +102,13 @@ def _number_processors(axis: Any, left: bool, bottom: bool) -> None:
         axis.set_ylabel("y", fontsize=8)
 
 
-def _over_time(done: Simulated, what: str) -> Any:
+def _over_time(done: Simulated, what: str) -> Figure:
     """Packets that wait, processors that serve, packets on links."""
     plt = pyplot()
     phase = done.frames["middle"]
     bins = phase.ticks // phase.bin_ticks + 1
     seconds = np.arange(bins) * (phase.bin_ticks / done.cost.file.hertz)
+    figure: Figure
     figure, axes = plt.subplots(2, 1, figsize=(8, 6), sharex=True, layout="constrained")
     axes[0].plot(seconds, phase.levels[WAITS, :bins], label="packets that wait", linewidth=0.8)
     axes[0].plot(seconds, phase.levels[LINKS, :bins], label="packets on links", linewidth=0.8)

@@ -1,4 +1,4 @@
-"""The law of 1983: the time of a frame on n x n and n x n x n processors, swept in the simulator and fitted.
+"""Fits the scaling law of 1983 to frames that are simulated on n x n and n x n x n processors.
 
     square  T = A + B n + C R / n^2        cubic  T = A + B n + C R / n^3
 
@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from raygrid.emulator.simulator import make_model, trace
 from raygrid.host.machine_time.cost_models import CostModel
@@ -57,13 +57,13 @@ class Point:
 
     @property
     def processors(self) -> int:
-        """How many the array has."""
+        """Count the processors of the array."""
         return self.shape[0] * self.shape[1] * self.shape[2]
 
 
 @dataclass(frozen=True)
 class Fit:
-    """What was fitted to the points of one scene and kind.
+    """Holds the fit to the points of one scene and kind.
 
     values, bounds   A, B and C in seconds, and by how much each may be off at CONFIDENCE (float64 (3,) each); one that
                      is held at 0 has the bound 0
@@ -80,13 +80,13 @@ class Fit:
     power: tuple[float, float, float]
     points: tuple[Point, ...]
 
-    def time(self, n: Any, rays: Any) -> Any:
+    def time(self, n: ArrayLike, rays: ArrayLike) -> F64:
         """Seconds by the law."""
-        return law(KINDS[self.kind], n, rays) @ self.values
+        return np.asarray(law(KINDS[self.kind], n, rays) @ self.values)
 
     @property
     def above(self) -> int:
-        """How many frames took longer than the law has it."""
+        """Count the frames that took longer than the law has it."""
         return int(np.count_nonzero(self.residuals > 0.0))
 
     def best(self, rays: int) -> float:
@@ -97,10 +97,10 @@ class Fit:
         return float((power * self.values[2] * rays / self.values[1]) ** (1.0 / (power + 1)))
 
 
-def law(power: float, n: Any, rays: Any) -> F64:
+def law(power: float, n: ArrayLike, rays: ArrayLike) -> F64:
     """The three terms without their factors, 1, n and rays / n^power: float64 (..., 3)."""
-    n, rays = np.broadcast_arrays(np.asarray(n, np.float64), np.asarray(rays, np.float64))
-    return np.stack((np.ones_like(n), n, rays / n**power), axis=-1)
+    size, count = np.broadcast_arrays(np.asarray(n, np.float64), np.asarray(rays, np.float64))
+    return np.stack((np.ones_like(size), size, count / size**power), axis=-1)
 
 
 class _Solved(NamedTuple):

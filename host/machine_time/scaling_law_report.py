@@ -1,4 +1,4 @@
-"""The report of `raygrid law`: Markdown, plots and the data as CSV, in a folder."""
+"""Writes the report of `raygrid law`: Markdown, plots and the data as CSV, in a folder."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import csv
 import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from raygrid.host.image.outputs import write_whole
 from raygrid.host.machine_time.cost_models import CostModel
 from raygrid.host.machine_time.plots import pyplot, save_figure
 from raygrid.host.machine_time.scaling_law import CONFIDENCE, KINDS, Fit, Point, law
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 COLUMNS = ("scene", "kind", "n", "processors", "rays", "ticks", "seconds", "busy", "busiest", "hops", "law_seconds")
 FORMULA = {"square": "A + B n + C R / n^2", "cubic": "A + B n + C R / n^3"}
@@ -149,9 +152,10 @@ def _efficiency(point: Point, points: Sequence[Point]) -> str:
     return f"{alone[0].ticks / (point.processors * point.ticks):.1%}" if alone else "-"
 
 
-def _figure(scene: str, fits: dict[str, Fit]) -> Any:
+def _figure(scene: str, fits: dict[str, Fit]) -> Figure:
     """T against n with the fit; its three terms; square against cubic and efficiency over processors."""
     plt = pyplot()
+    figure: Figure
     figure, axes = plt.subplots(2, 2, figsize=(11, 8), layout="constrained")
     for kind, found in fits.items():
         ns = np.geomspace(1, max(p.n for p in found.points), 200)

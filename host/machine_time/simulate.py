@@ -1,4 +1,4 @@
-"""Simulate a frame of a scene on an array, in machine time."""
+"""Simulates a frame of a scene on an array, in machine time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Watch = Callable[[str, int, int], None]
 class Simulated:
     """A simulated frame.
 
-    model     who holds and bears what
+    model     which node holds what, and whose samples start there
     search    list or tree
     frames    of each level that was asked for, "middle" among them: what happened while tracing; only that of "middle"
               has the nodes' books, since those of an array take half a kilobyte a node
@@ -75,7 +75,7 @@ def simulate_job(
         ticks = cost.list_ticks(level, chosen, model.held)
         traced, pixels = trace(model, prices, ticks, tell)
         seconds["trace"] += traced.seconds
-        frames[level] = traced if level == "middle" else traced.without_books()
+        frames[level] = traced if level == "middle" else traced.without_clocks()
         del traced
         if level == "middle":
             sums = pixels.sums.copy()
@@ -84,7 +84,7 @@ def simulate_job(
             since = compile_clock.now()
             description = cost.file.ticks.description[LEVELS.index(level)]
             floods[level] = flood(job.space, surfaces, prices, description)._replace(busy=np.zeros(0, np.int64))
-            read_outs[level] = read_out(model, prices, pixels, tell).without_books()
+            read_outs[level] = read_out(model, prices, pixels, tell).without_clocks()
             seconds["around"] += compile_clock.now() - since
     seconds["whole"] = compile_clock.now() - begun
     picture = sums.reshape(job.frame.height, job.frame.width, 3)

@@ -1,14 +1,14 @@
-"""What a simulated frame says of the machine: as a map for JSON, and as a row a node for CSV. See docs/machine-time.md."""
+"""Derives the statistics of a simulated frame: a map for JSON, and a row a node for CSV. See docs/machine-time.md."""
 
 from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
 from raygrid.emulator.simulator import LINKS, SERVICES, WAITS, Phase
 from raygrid.emulator.topology import indices
@@ -24,14 +24,14 @@ PORT_NAMES = ("-x", "+x", "-y", "+y", "-z", "+z")
 MOST_NODES = 4096  # of which each has a record in the JSON
 CURVE = 256  # points of what is told over time
 
-Long = NDArray[np.int64]
+Stats = dict[str, Any]  # as docs/machine-time.md has it
 
 
-def make_stats(done: Simulated) -> dict[str, Any]:
+def make_stats(done: Simulated) -> Stats:
     """The map of docs/machine-time.md."""
     job, phase, cost = done.job, done.frames["middle"], done.cost
     frame, shape = job.frame, job.space.shape
-    stats: dict[str, Any] = {
+    stats: Stats = {
         "version": VERSION,
         "scene": job.scene.name,
         "frame": job.number,
@@ -74,15 +74,15 @@ def make_stats(done: Simulated) -> dict[str, Any]:
     return stats
 
 
-def _times(done: Simulated, level: str) -> dict[str, Any]:
+def _times(done: Simulated, level: str) -> Stats:
     """Ticks and seconds of the phases, for one level of cost."""
-    found: dict[str, Any] = {"frame": done.frames[level].ticks}
+    found: Stats = {"frame": done.frames[level].ticks}
     if level in done.floods:
         found |= {"set_up": done.floods[level].ticks, "read_out": done.read_outs[level].host}
     return {"ticks": found, "seconds": {name: done.cost.seconds(ticks) for name, ticks in found.items()}}
 
 
-def _total(phase: Phase, done: Simulated) -> dict[str, Any]:
+def _total(phase: Phase, done: Simulated) -> Stats:
     counts = phase.total
     tests = counts[TESTS : TESTS + len(Kind)]
     if done.search == "list":  # every walk tests all that the node holds
@@ -121,7 +121,7 @@ def links_of(done: Simulated) -> int:
     return 2 * ((x - 1) * y * z + x * (y - 1) * z + x * y * (z - 1))
 
 
-def _busiest(done: Simulated) -> dict[str, Any]:
+def _busiest(done: Simulated) -> Stats:
     """The node that works longest: its place, ticks, and the part of the frame that these are."""
     phase = done.frames["middle"]
     busy = phase.column("busy")
@@ -138,7 +138,7 @@ def _hops(phase: Phase) -> dict[str, list[int]]:
     }
 
 
-def _links(done: Simulated) -> dict[str, Any]:
+def _links(done: Simulated) -> Stats:
     """Packets on the busiest link, and of all links of each port together."""
     sent = done.frames["middle"].nodes["sent"][:, :PORTS]
     node, port = np.unravel_index(int(sent.argmax()), sent.shape)
@@ -154,7 +154,7 @@ def _index(done: Simulated, node: int) -> list[int]:
     return [node % nx, node // nx % ny, node // (nx * ny)]
 
 
-def _over_time(phase: Phase) -> dict[str, Any]:
+def _over_time(phase: Phase) -> Stats:
     """Packets that wait, nodes that serve, packets on links, at regular ticks."""
     bins = phase.ticks // phase.bin_ticks + 1
     step = -(-bins // CURVE)
@@ -167,7 +167,7 @@ def _over_time(phase: Phase) -> dict[str, Any]:
     }
 
 
-def records(done: Simulated) -> Any:
+def records(done: Simulated) -> Iterator[dict[str, int]]:
     """A flat map for each node, x fastest."""
     phase = done.frames["middle"]
     for node, index in enumerate(indices(done.job.space.shape)):

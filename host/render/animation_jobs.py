@@ -14,7 +14,9 @@ import numpy as np
 
 from raygrid.emulator.partition.split import split
 from raygrid.host.render.machine_job import Job, Settings, check_settings, make_frame, make_still_job
-from raygrid.host.scene.animation.animation import Animation, animation_bounds, moved_point, moving_batches
+from raygrid.host.scene.animation.motions import moved_point
+from raygrid.host.scene.animation.scene_frames import animation_bounds, moving_batches
+from raygrid.host.scene.pose import Animation
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import SceneError
 from raygrid.node.geometry import (

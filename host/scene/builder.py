@@ -1,10 +1,9 @@
-"""What all readers share: files, the collecting of surfaces and materials, and the rules that every scene must meet."""
+"""Collects surfaces and materials for all readers, and enforces the rules that every scene must meet."""
 
 from __future__ import annotations
 
 import reprlib
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -142,7 +141,7 @@ class SceneBuilder:
         self._take(Kind.POLYGON, chosen, every[kept], order[kept], len(begins) - 1, begins)
 
     def triangulate(self, points: F64, starts: Ints) -> tuple[Ints, Ints]:
-        """`scene_polygons.triangulate`, with a remark on what could be cut only by guess; raises SceneError for what is
+        """`polygons.triangulate`, with a remark on what could be cut only by guess; raises SceneError for what is
         not convex and has more corners than can be cut in reasonable time."""
         self._check_corners(np.diff(starts)[~convex_polygons(points, starts)], "that is not convex")
         rows, owner, crossing = triangulate(points, starts)
@@ -303,7 +302,7 @@ def _with_unit_normals(data: F64) -> F64:
     return np.concatenate((data[:, :9], units.reshape(-1, 9)), axis=1)
 
 
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     """A value out of a file for a message, shortened."""
     try:
         text = SHORT.repr(value)

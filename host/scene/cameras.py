@@ -1,4 +1,4 @@
-"""Cameras: from the ways in which files describe them to the linear form that the nodes use.
+"""Converts cameras from the ways in which files describe them to the linear form that the nodes use.
 
 Every camera is an eye, three perpendicular unit vectors and half the height of its view. With square pixels the
 picture's width and height then give one number, the pitch from pixel to pixel, and pixel (i, j) looks along
@@ -30,7 +30,7 @@ FRAME_MARGIN = 1.08  # the box of a scene fills the picture but for this much
 
 
 class Span(Enum):
-    """What the height (or angle) of a view is measured across."""
+    """Names the length across which the height (or angle) of a view is measured."""
 
     MIDDLES = "middles"  # the middle of the first pixel row to the middle of the last (NFF)
     EDGES = "edges"  # the upper edge of the picture to the lower (glTF, and most others)

@@ -1,4 +1,4 @@
-"""Cutting one polygon of the plane into triangles, ear after ear, the widest first.
+"""Cuts one polygon of the plane into triangles, ear after ear, the widest first.
 
 A corner is an ear if it turns left and no other vertex lies in the triangle with its neighbours. What was found to be none
 because of a vertex stays none until that vertex, or a neighbour, is gone, so it is not looked at again before.

@@ -1,4 +1,4 @@
-"""The border between a scene and the files of this computer: which it may refer to, and how much it may bring.
+"""Limits which files of this computer a scene may refer to, and how much it may bring.
 
     with reading(path, allow_outside=False, remedy="--allow-outside"):
         data = read_bytes(path)         # the scene's own file, and those that it cannot do without
@@ -33,7 +33,7 @@ MOST_TEXELS = 1 << 28  # of all its textures together
 
 @dataclass
 class Reach:
-    """What the scene that is being read may still do.
+    """Holds the limits of the scene that is being read.
 
     folders  where its files may lie, as real paths; None: anywhere
     remedy   what allows more
@@ -76,7 +76,7 @@ def reading(path: Path, allow_outside: bool, remedy: str) -> Iterator[bool]:
 
 
 def read_bytes(path: Path) -> bytes:
-    """The contents of a file that a scene cannot do without. Raises SceneError if there is none, or none that it may read."""
+    """Read a file that a scene cannot do without. Raises SceneError if there is none, or none that it may read."""
     data = _read(path, needed=True)
     if data is None:
         raise SceneError(f"{path}: there is no such file")
@@ -84,7 +84,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def find_bytes(path: Path) -> bytes | None:
-    """The contents of a file, None if there is none. Raises SceneError for one that the scene may not read."""
+    """Read a file, None if there is none. Raises SceneError for one that the scene may not read."""
     return _read(path, needed=False)
 
 

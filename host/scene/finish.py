@@ -1,9 +1,8 @@
-"""The last step of readers whose files may lack a camera or lights: invent what is missing, and say so."""
+"""Completes scenes whose files lack a camera or lights: invents what is missing, and says so."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,13 +30,13 @@ def finish_scene(
     lights: NDArray[np.void] | None = None,
     background: Colour | None = None,
     up: Vector = Y_UP,
-    **asked: Any,
+    highlights: bool = True,
 ) -> Scene:
     """The scene of what a builder has collected.
 
     `up` is the axis that points up. Without a camera one looks at everything; without lights (None, or a table
-    without rows) a key and a fill light shine from behind that camera; without a background it is a dark grey. `asked`
-    are the other fields of Scene. Raises SceneError as SceneBuilder.finish does.
+    without rows) a key and a fill light shine from behind that camera; without a background it is a dark grey.
+    Raises SceneError as SceneBuilder.finish does.
     """
     surfaces, materials, remarks = builder.finish()
     invented = []
@@ -56,5 +55,5 @@ def finish_scene(
         background=INVENTED_BACKGROUND if background is None else background,
         remarks=(*remarks, *invented),
         up=up,
-        **asked,
+        highlights=highlights,
     )

@@ -1,4 +1,4 @@
-"""Lights: rows of the light table, lights for files that have none, and the exposure of files with real ones."""
+"""Makes rows of the light table, lights for files that have none, and the exposure of files with photometric ones."""
 
 from __future__ import annotations
 

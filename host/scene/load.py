@@ -1,4 +1,4 @@
-"""From a file to a scene, by the file's suffix."""
+"""Reads a scene with the reader of its file's suffix."""
 
 from __future__ import annotations
 

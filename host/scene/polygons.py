@@ -1,4 +1,4 @@
-"""Polygons, many at a time: their planes, how flat and how convex they are, and cutting them into triangles.
+"""Measures polygons, many at a time (planes, flatness, convexity), and cuts them into triangles.
 
 Everywhere `points` is float64 (p, 3) and `starts` int64 (n + 1,), as in a Batch of polygons: polygon k has the rows
 `starts[k]` to `starts[k + 1]` of `points`.
@@ -21,7 +21,7 @@ FLATNESS = 1e-7
 
 
 def flat_triangles(corners: F64) -> Mask:
-    """Which of the triangles, (n, 3, 3), have no area, (n,)."""
+    """Find which of the triangles, (n, 3, 3), have no area, (n,)."""
     edges = corners[:, (1, 2, 0)] - corners
     doubled = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
     longest = np.einsum("nij,nij->ni", edges, edges).max(axis=1, initial=0.0)
@@ -43,7 +43,7 @@ def extents(points: F64, starts: Ints) -> F64:
 
 
 def flat_polygons(points: F64, starts: Ints) -> Mask:
-    """Which of the polygons have no area, (n,)."""
+    """Find which of the polygons have no area, (n,)."""
     if len(starts) < 2:
         return np.zeros(0, np.bool_)
     doubled = np.linalg.norm(area_vectors(points, starts), axis=1)
@@ -51,7 +51,7 @@ def flat_polygons(points: F64, starts: Ints) -> Mask:
 
 
 def planar_polygons(points: F64, starts: Ints, most: float | F64 = np.inf) -> Mask:
-    """Which of the polygons lie in a plane, (n,): to FLATNESS of their extent plus their largest coordinate, and to
+    """Find which of the polygons lie in a plane, (n,): to FLATNESS of their extent plus their largest coordinate, and to
     `most`, in units of the points, of all or of each, however far from the origin they are."""
     if len(starts) < 2:
         return np.zeros(0, np.bool_)
@@ -72,7 +72,7 @@ def select_polygons(points: F64, starts: Ints, chosen: Mask) -> tuple[F64, Ints]
 
 
 def convex_polygons(points: F64, starts: Ints) -> Mask:
-    """Which of the polygons are convex, seen along their normals, (n,); every triangle is."""
+    """Find which of the polygons are convex, seen along their normals, (n,); every triangle is."""
     if len(starts) < 2:
         return np.zeros(0, np.bool_)
     sizes = np.diff(starts)

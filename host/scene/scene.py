@@ -1,30 +1,27 @@
-"""A scene: everything that a file says about what is to be rendered, checked and in one form.
+"""Defines a scene: everything that a file says about what is to be rendered, checked and in one form.
 
-Readers (`nff`, `meshes`, `gltf`, `scenefile`) make scenes, `load.load_scene` picks the reader. Nothing here knows
+Readers (`host.scene.formats`) make scenes, `load.load_scene` picks the reader. Nothing here knows
 about arrays of processors: coordinates are the scene's own, and data is float64.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.host.scene.cameras import Camera
+from raygrid.host.scene.pose import Animation
 from raygrid.node.geometry import SURFACE_KINDS, SurfaceSet
 from raygrid.node.protocol import DIRECTIONAL
-
-if TYPE_CHECKING:
-    from raygrid.host.scene.animation.animation import Animation
 
 Colour = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What is to be rendered.
+    """Describes what is to be rendered.
 
     name        the file's name, for messages
     surfaces    scene coordinates, float64; ids are 0 to n - 1 in the order of the file
@@ -39,7 +36,7 @@ class Scene:
     highlights  whether the materials' highlights are to be used
     remarks     one line each on what was dropped or invented
     rules       numbers of materials for a program, float64 (m, tables.RULE_COLUMNS), None if none has any
-    shot        what changes from frame to frame, None if nothing does; surfaces are at rest then
+    shot        the animation, what changes from frame to frame, None if nothing does; surfaces are at rest then
     up          what points up in the world: as the file says, else as its format has it
     """
 
@@ -60,8 +57,8 @@ class Scene:
     up: tuple[float, float, float] = (0.0, 1.0, 0.0)
 
 
-def describe(scene: Scene) -> dict[str, Any]:
-    """The facts of a scene as plain lists, numbers and strings, ready for JSON."""
+def describe(scene: Scene) -> dict[str, object]:
+    """Return the facts of a scene as plain lists, numbers and strings, ready for JSON."""
     counts = {kind.name.lower(): scene.surfaces.count(kind) for kind in SURFACE_KINDS}
     return {
         "name": scene.name,
@@ -86,11 +83,11 @@ def describe(scene: Scene) -> dict[str, Any]:
 
 
 def light_kind(row: np.void) -> str:
-    """What a light is called: directional, spot or point."""
+    """Name the kind of a light: directional, spot or point."""
     return "directional" if row["kind"] == DIRECTIONAL else "spot" if row["spot"] else "point"
 
 
-def _light(row: np.void) -> dict[str, Any]:
+def _light(row: np.void) -> dict[str, object]:
     kind = light_kind(row)
     return {
         "kind": kind,
@@ -100,7 +97,7 @@ def _light(row: np.void) -> dict[str, Any]:
     }
 
 
-def _camera(camera: Camera) -> dict[str, Any]:
+def _camera(camera: Camera) -> dict[str, object]:
     view = {"height": 2.0 * camera.half}
     if not camera.orthographic:
         view = {"angle": float(np.degrees(2.0 * np.arctan(camera.half)))}

@@ -1,11 +1,11 @@
-"""Which files a scene was read from, and what stood in them, so that it can be told whether it has changed.
+"""Records the files that a scene was read from, with digests of their contents, to detect when it has changed.
 
     with recorded() as sources:
         scene = load_scene(path)
     sources.changed()       # whether a file is another one now
     sources.digest()        # the same for the same contents, wherever the files lie
 
-Every reader reads its files through `scene_files`, which tells of each here: the scene's own file, those
+Every reader reads its files through `file_access`, which tells of each here: the scene's own file, those
 it includes, materials, textures and buffers, and those that were looked for and not found. A file that was another one
 when it was read again, for the same scene, counts as changed for ever: that scene was never in any files.
 """
@@ -34,7 +34,7 @@ NEVER_THE_SAME: tuple[Look | None, bool] = (None, True)  # what has to be compar
 
 
 class Sources:
-    """The files that were read: path -> SHA-256 of the contents, "" if there was no such file.
+    """Records the files that were read: path -> SHA-256 of the contents, "" if there was no such file.
 
     Where a file was not the same whenever it was read, several stand there, with spaces between.
     """
@@ -53,7 +53,7 @@ class Sources:
             self.files[name], self._looks[name] = came, _aged(look)
 
     def changed(self) -> bool:
-        """Whether any file has other contents now, or has come or gone."""
+        """Test whether any file has other contents now, or has come or gone."""
         return any(self._has_changed(name) for name in self.files)
 
     def _has_changed(self, name: str) -> bool:
@@ -103,12 +103,12 @@ def recorded() -> Iterator[Sources]:
 
 
 def recording() -> Sources | None:
-    """Where the reading of files is to be noted, if it is to be noted."""
+    """Return the record in which the reading of files is to be noted, None if there is none."""
     return _recording.get()
 
 
 def look_at(path: str | Path) -> Look | None:
-    """What changes with a file without reading it: times of change, size, number; None if no regular file is there."""
+    """Return what changes with a file, without reading it: times of change, size, number; None if no regular file is there."""
     try:
         status = os.stat(path)
     except (OSError, ValueError):

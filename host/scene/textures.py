@@ -1,4 +1,4 @@
-"""Textures: the nodes know none, so a texture's colours are baked into the materials of single triangles.
+"""Bakes a texture's colours into the materials of single triangles, since the nodes know no textures.
 
 A triangle gets the colour of the texel under its middle, its primaries rounded to 5 bits: that is one material for each
 colour that occurs, at most 32,768 a texture, and no eye sees the steps on a mesh fine enough for its texture to show.
@@ -30,7 +30,7 @@ FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "TGA", "BMP", "GIF", "PPM", "DDS", "SG
 
 
 class Wrap(Enum):
-    """What lies outside a texture; the values are glTF's."""
+    """Says what lies outside a texture; the values are glTF's."""
 
     REPEAT = 10497
     CLAMP = 33071

@@ -1,4 +1,4 @@
-"""Moving surfaces: turning, scaling and shifting the surfaces of a file that is placed in a scene."""
+"""Turns, scales and shifts the surfaces of a file that is placed in a scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Text out of files, made fit to be shown: in a terminal, a message, a journal.
+"""Escapes and shortens text out of files, so that it can be shown in a terminal, a message, a journal.
 
 What a scene says may hold anything: sequences that drive a terminal, marks that turn the direction of writing, line ends
 that forge a second message, and halves of characters (from bytes that are no UTF-8, or from JSON's \\ud800) that no file
@@ -15,7 +15,7 @@ BYTES = range(0xDC80, 0xDD00)  # how Python keeps bytes in a name that are no UT
 
 
 def printable(text: str, limit: int = LONGEST) -> str:
-    """The text with all that is no visible character or plain space written as an escape, and at most `limit` long.
+    """Return the text with all that is no visible character or plain space written as an escape, and at most `limit` long.
 
     What is longer is cut in its middle: of a path and of a message the end says as much as the beginning.
     """
@@ -33,7 +33,7 @@ def _cut(text: str, limit: int) -> str:
 
 
 def unreadable(error: Exception) -> str:
-    """What is wrong with a text that a reader of TOML or JSON refused; Python's own words on long numbers advise programmers."""
+    """Tell what a reader of TOML or JSON refused; Python's own words on long numbers advise programmers."""
     return "a number in it has too many digits" if type(error) is ValueError else str(error)
 
 

@@ -1,4 +1,4 @@
-"""Errors in words: one line that can be shown, sent and recorded, whatever a scene has put into it."""
+"""Writes an error as one line that can be shown, sent and recorded, whatever a scene has put into it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from raygrid.node.errors import RaygridError
 
 
 def told(error: BaseException) -> str:
-    """An error as one line; what is not ours goes with its traceback to standard error, which is the array's log."""
+    """Write an error as one line; what is not ours goes with its traceback to standard error, which is the array's log."""
     line = printable(" ".join(_shortened(str(error)).split()))
     if isinstance(error, RaygridError):
         return line

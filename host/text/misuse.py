@@ -1,4 +1,4 @@
-"""Errors of what was asked for, whatever the files hold: exit code 2, where the others are 1.
+"""Defines the errors of a wrong request, whatever the files hold: exit code 2, where the others are 1.
 
 Each is also the error that the Python interface documents for its place. Whether a file is there, can be read or
 written, holds what is wanted, or fits this computer is no misuse.

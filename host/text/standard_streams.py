@@ -1,4 +1,4 @@
-"""The standard streams of a program as it got them: some may be closed, and names of files may be any bytes."""
+"""Opens standard streams that came closed, and lets them carry names of files that are any bytes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def ready_streams() -> None:
 
 
 def shown_name(name: str) -> str:
-    """A name as text that any encoding of Unicode can carry."""
+    """Return a name as text that any encoding of Unicode can carry."""
     codecs.register_error(MARKS, _as_marks)
     return name.encode("utf-8", MARKS).decode("utf-8")
 

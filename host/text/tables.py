@@ -1,4 +1,4 @@
-"""Tables, counts and spans of time as text."""
+"""Writes tables, counts and spans of time as text."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 
 def table(rows: Sequence[tuple[str, ...]]) -> list[str]:
-    """Lines of a table: columns to the left, two blanks between them."""
+    """Align a table, as lines: columns to the left, two blanks between them."""
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]) - 1)]
     return [
         "  ".join([*(cell.ljust(width) for cell, width in zip(row, widths, strict=False)), row[-1]]) for row in rows
@@ -16,7 +16,7 @@ def table(rows: Sequence[tuple[str, ...]]) -> list[str]:
 
 
 def folded(text: str, width: int | None = None) -> str:
-    """Text for a terminal, which would break its lines within words: what is too long goes on, set in, on the next line.
+    """Fold text for a terminal, which would break its lines within words: what is too long goes on, set in, on the next line.
 
     Words that are longer than a line, such as paths, stay whole. `width`: columns, None: of the terminal
     """
@@ -37,17 +37,17 @@ def _folded(line: str, columns: int) -> str:
 
 
 def count_of(number: int, noun: str) -> str:
-    """1 job, 2 jobs."""
+    """Count a noun: 1 job, 2 jobs."""
     return f"{number:,} {noun}" if number == 1 else f"{number:,} {noun}s"
 
 
 def bytes_of(number: int) -> str:
-    """Bytes with their unit."""
+    """Write bytes with their unit."""
     return f"{number / 1e9:.1f} GB" if number >= 10**9 else f"{number / 1e6:.1f} MB"
 
 
 def span(seconds: float) -> str:
-    """A span of time: 5 s, 3 min 05 s, 4 h 24 min, 3 days 4 h."""
+    """Write a span of time: 5 s, 3 min 05 s, 4 h 24 min, 3 days 4 h."""
     minutes, left = divmod(round(max(0.0, seconds)), 60)
     if minutes < 60:
         return f"{minutes} min {left:02} s" if minutes else f"{left} s"

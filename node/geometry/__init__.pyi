@@ -34,6 +34,12 @@ from .lattice import make_space as make_space
 from .lattice import nearest as nearest
 from .lattice import world_around as world_around
 from .overlap import surface_meets as surface_meets
+from .quaternion import quaternion_of_angles as quaternion_of_angles
+from .quaternion import quaternion_of_matrix as quaternion_of_matrix
+from .quaternion import quaternion_products as quaternion_products
+from .quaternion import rotation_matrices as rotation_matrices
+from .quaternion import slerp as slerp
+from .quaternion import unit_quaternions as unit_quaternions
 from .rigid_motion import MOTION_SCALE as MOTION_SCALE
 from .rigid_motion import MOTION_SHIFT as MOTION_SHIFT
 from .rigid_motion import NO_MOTION as NO_MOTION

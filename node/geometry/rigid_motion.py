@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.node.errors import ProtocolError
-from raygrid.node.geometry.quaternion import products, rotation_matrices
+from raygrid.node.geometry.quaternion import quaternion_products, rotation_matrices
 from raygrid.node.geometry.surfaces import F64, STORED_AS, AddedKind, AnyKind, Batch, Kind
 
 Ints = NDArray[np.int64]
@@ -114,7 +114,7 @@ def moved_rows(kind: AnyKind, data: F64, motions: F64) -> F64:
     )
     result = data.copy()
     if kind == AddedKind.PROGRAMMED:
-        result[:, :4] = products(motions[:, :4], data[:, :4])
+        result[:, :4] = quaternion_products(motions[:, :4], data[:, :4])
         result[:, MOTION_SCALE] = data[:, MOTION_SCALE] * motions[:, MOTION_SCALE]
         result[:, MOTION_SHIFT:MOTION] = _rotated(matrices, data[:, MOTION_SHIFT:MOTION]) * scale + shift
         return result

@@ -41,7 +41,7 @@ from raygrid.node.runtime.reduction import (
     SUM_RECEIVED,
     SUMS,
     Long,
-    TraceRequest,
+    TraceFields,
     add_own_sums,
     trace_request,
 )
@@ -321,7 +321,7 @@ class Processor:
         self.refused.clear()
         self.node_state.halted = True
 
-    def _admit(self, request: TraceRequest) -> None:
+    def _admit(self, request: TraceFields) -> None:
         """Let more primaries be spawned, and tune the event loop: see `Driver`."""
         tuning = self.node_state.tuning
         self.node_state.quota = max(self.node_state.quota, request.quota)

@@ -2,7 +2,7 @@
 
 A request goes down the tree of a wave as a row of int64, and its reply comes back as another:
 
-    REDUCE   the fields of `TraceRequest`
+    REDUCE   the fields of `TraceFields`
     REDUCED  number of the wave, then the sums
 
 How a reduction stands in a node is kept in records that Python and compiled code both read and write, so that each can go
@@ -38,7 +38,7 @@ Long = NDArray[np.int64]
 
 
 @record
-class TraceRequest(Record):
+class TraceFields(Record):
     """What a node is asked to do in a trace (`node.protocol.commands.TraceCommand`).
 
     hold  nanoseconds; back_off  microseconds
@@ -79,7 +79,7 @@ class ReductionState(Record):
 
 
 FIELD_BYTES = 8
-REQUEST_FIELDS = len(TraceRequest._fields_)
+REQUEST_FIELDS = len(TraceFields._fields_)
 REQUEST_BYTES, REPLY_BYTES = REQUEST_FIELDS * FIELD_BYTES, (1 + SUMS) * FIELD_BYTES
 
 
@@ -87,7 +87,7 @@ class Reduction(NamedTuple):
     """How a reduction stands in a node, for compiled code.
 
     state    ReductionState (1,)
-    request  TraceRequest (1,), what came from the parent
+    request  TraceFields (1,), what came from the parent
     sums     int64 (SUMS,), of the children that have replied
     known    int64 (SUMS,), of this node's own sums what compiled code does not know
     total    int64 (SUMS,), scratch
@@ -106,7 +106,7 @@ def make_reduction(parent: int = 0, children: tuple[int, ...] = ()) -> Reduction
     """None is under way."""
     made = Reduction(
         ReductionState.rows(),
-        TraceRequest.rows(),
+        TraceFields.rows(),
         np.zeros(SUMS, np.int64),
         np.zeros(SUMS, np.int64),
         np.zeros(SUMS, np.int64),
@@ -120,14 +120,14 @@ def make_reduction(parent: int = 0, children: tuple[int, ...] = ()) -> Reduction
 # --- the rules, for Python and for compiled code ---------------------------------------------------------
 
 
-def is_sound(request: TraceRequest) -> bool:
+def is_sound(request: TraceFields) -> bool:
     """Whether all fields of a request are in range."""
     times = (0 <= request.hold <= LONGEST_HOLD) & (0 <= request.back_off <= MOST_BACK_OFF)
     packets = (0 <= request.batch_threshold <= MOST_PACKETS) & (1 <= request.flush <= MOST_PACKETS)
     return times & packets & (0 <= request.quota <= MOST_QUOTA)
 
 
-def begin(state: ReductionState, request: TraceRequest, sums: Long, now: int) -> None:
+def begin(state: ReductionState, request: TraceFields, sums: Long, now: int) -> None:
     """A request has come at `now` (nanoseconds): the children are to be told of it, and it is to be done."""
     state.pending, state.wave, state.fresh = 1, request.wave, 1
     state.replied, state.to_notify = 0, state.child_ports
@@ -168,11 +168,11 @@ waits_for_node_part, add_own_sums_part = part(waits_for_node), part(add_own_sums
 # --- bytes, in Python ------------------------------------------------------------------------------------
 
 
-def trace_request(wave: int, command: TraceCommand) -> TraceRequest:
+def trace_request(wave: int, command: TraceCommand) -> TraceFields:
     """The command as a request; what does not fit into 64 bits becomes the nearest number that does."""
     hold, back_off = int(command.hold * NANO), int(command.back_off * MICRO)
     fields = wave, command.quota, hold, command.batch_threshold, back_off, command.flush
-    return TraceRequest(*(max(-(2**63), min(2**63 - 1, field)) for field in fields))
+    return TraceFields(*(max(-(2**63), min(2**63 - 1, field)) for field in fields))
 
 
 def pack_request(wave: int, command: TraceCommand) -> bytes | None:
@@ -181,16 +181,16 @@ def pack_request(wave: int, command: TraceCommand) -> bytes | None:
     return pack_fields(request) if is_sound(request) else None
 
 
-def pack_fields(request: TraceRequest) -> bytes:
+def pack_fields(request: TraceFields) -> bytes:
     """The payload of a REDUCE."""
     return np.array(request.numbers(), "<i8").tobytes()
 
 
-def read_request(message: bytes) -> TraceRequest:
+def read_request(message: bytes) -> TraceFields:
     """The request of a REDUCE. Raises ProtocolError."""
     if len(message) != HEAD + REQUEST_BYTES:
         raise ProtocolError(f"a request came with {len(message) - HEAD} bytes, wanted {REQUEST_BYTES}")
-    request = TraceRequest(*np.frombuffer(message, "<i8", REQUEST_FIELDS, HEAD).tolist())
+    request = TraceFields(*np.frombuffer(message, "<i8", REQUEST_FIELDS, HEAD).tolist())
     if not is_sound(request):
         raise ProtocolError(
             f"a request came with {request.numbers()}, "

@@ -11,7 +11,7 @@ from raygrid.node.runtime.reduction import (
     NANO,
     Long,
     ReductionState,
-    TraceRequest,
+    TraceFields,
     awaits_reply,
     begin,
     make_reduction,
@@ -32,7 +32,7 @@ class Reductions:
     def __init__(self, links: dict[int, Link], parent: int, children: list[int]) -> None:
         self.reduction = make_reduction(parent, tuple(children))
         self.state = ReductionState.view(self.reduction.state)
-        self._request = TraceRequest.view(self.reduction.request)
+        self._request = TraceFields.view(self.reduction.request)
         self._links, self._children = links, children
 
     @property
@@ -49,7 +49,7 @@ class Reductions:
         """Seconds until this node replies although it is busy."""
         return max(0.0, self.state.deadline / NANO - now)
 
-    def begin(self, message: bytes, now: float) -> TraceRequest:
+    def begin(self, message: bytes, now: float) -> TraceFields:
         """A request has come from the parent, at `now` seconds: hand it on. Raises ProtocolError."""
         self._request.take(read_request(message))
         begin(self.state, self._request, self.reduction.sums, int(now * NANO))

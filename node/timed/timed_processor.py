@@ -34,7 +34,7 @@ from raygrid.node.protocol.timestamps import (
     read_stamped,
 )
 from raygrid.node.runtime.processor import Processor
-from raygrid.node.runtime.reduction import TraceRequest
+from raygrid.node.runtime.reduction import TraceFields
 from raygrid.node.timed.lookahead import Lookahead
 from raygrid.node.timed.service_clock import (
     CLOCK_BLOCKED,
@@ -91,7 +91,7 @@ class TimedProcessor(Processor):
         elif do in ("collect", "halt", "space"):
             self._prices, self._started, self._why = None, False, CLOCK_IDLE
 
-    def _admit(self, request: TraceRequest) -> None:
+    def _admit(self, request: TraceFields) -> None:
         super()._admit(request)
         if self._prices is not None:
             self.node_state.quota = 0  # spawning follows machine time, not the root

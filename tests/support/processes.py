@@ -29,7 +29,8 @@ from typing import Any, NamedTuple
 import psutil
 import pytest
 
-from raygrid.emulator.processes.fork_server_client import ForkServerClient, ProcessEnded
+from raygrid.emulator.processes.fork_server_client import ForkServerClient
+from raygrid.emulator.processes.process_ended import ProcessEnded
 from raygrid.emulator.topology import socket_directory
 from raygrid.node.errors import ArrayError
 

@@ -47,11 +47,9 @@ OPEN = {  # modules that other layers may import as they are
     "emulator.partition.sampling_prepass": "preloaded by its module's name",
     "emulator.partition.split": "the module's main function has its name, which a face could not give",
 }
-KNOWN_CYCLES = {  # an import that closes one -> why it is still there; empty is what we want
-    ("node.runtime.report", "node.runtime.processor"): "for its type",
-    ("host.scene.scene", "host.scene.animation.animation"): "for its type",
-    ("host.service.answers", "host.service.service"): "for its type",
-}
+KNOWN_CYCLES: dict[
+    tuple[str, str], str
+] = {}  # an import that closes one -> why it is still there; empty is what we want
 MOST_MODULES = 20
 
 RULES = {

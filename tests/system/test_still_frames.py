@@ -17,7 +17,8 @@ from raygrid.host.machine_time.simulate import simulate_job
 from raygrid.host.render.animation_jobs import jobs_of, still_job
 from raygrid.host.render.frame import render_job
 from raygrid.host.render.job import Settings, make_job
-from raygrid.host.scene.animation.animation import moved_point, still
+from raygrid.host.scene.animation.motions import moved_point
+from raygrid.host.scene.animation.scene_frames import still
 from raygrid.host.scene.load import load_scene
 from raygrid.node.errors import SceneError
 

@@ -22,7 +22,7 @@ RETIRED = {
     "untold": "to notify",
     "wires wired": "native links",
     "lend lent": "native links, link state",
-    "nursery": "fork server",
+    "fork server": "fork server",
     "crew": "node processes",
     "pilot": "sampling pre-pass",
     "enquiry": "look-ahead request",
@@ -57,13 +57,13 @@ LEFT: dict[str, str] = {
     "emulator.driver.driver": "bear gather linger tallied tally",
     "emulator.partition.cost_grid": "pilot",
     "emulator.partition.sampling_prepass": "pilot",
-    "emulator.processes.array": "nursery",
-    "emulator.processes.control": "nursery",
-    "emulator.processes.fork_server": "nursery",
-    "emulator.processes.fork_server_client": "nursery",
-    "emulator.processes.kernel_kinds": "nursery",
-    "emulator.processes.node_processes": "nursery",
-    "emulator.processes.stderr_log": "nursery",
+    "emulator.processes.array": "fork server",
+    "emulator.processes.control": "fork server",
+    "emulator.processes.fork_server": "fork server",
+    "emulator.processes.fork_server_client": "fork server",
+    "emulator.processes.kernel_kinds": "fork server",
+    "emulator.processes.node_processes": "fork server",
+    "emulator.processes.stderr_log": "fork server",
     "emulator.simulator.event_loop": "bear births order",
     "emulator.simulator.sample_order": "bears order",
     "emulator.simulator.simulator": "bears births",
@@ -71,7 +71,7 @@ LEFT: dict[str, str] = {
     "emulator.topology.bounds": "bear",
     "emulator.topology.topology": "wired",
     "host.cli.commands.jam": "promise",
-    "host.cli.progress": "nursery",
+    "host.cli.progress": "fork server",
     "host.image.frames": "shot",
     "host.probes.replay": "nap",
     "host.scene.formats.gltf": "rig",
@@ -193,13 +193,13 @@ def test_each_check_sees_what_is_wrong(tmp_path):
     (tmp_path / "node" / "jit").mkdir(parents=True)
     sieve = tmp_path / "node" / "jit" / "cache.py"
     sieve.write_text(
-        '"""The nursery of kernels."""\nclass Door:\n    def bear_next(self, eyesAstray):\n        door = 1\n'
+        '"""The fork server of kernels."""\nclass Door:\n    def bear_next(self, eyesAstray):\n        door = 1\n'
     )
     (tmp_path / "node" / "jit" / "tally.py").write_text("class Door:\n    pass\n")
     modules = read_modules(tmp_path)
     found = retired(modules, WORDS, RETIRED_AS_NAMES)
-    assert found == {"node.jit.cache": {"nursery", "door", "bear", "astray"}, "node.jit.tally": {"tally", "door"}}
-    left = {"node.jit.cache": "nursery sieve"}
+    assert found == {"node.jit.cache": {"fork server", "door", "bear", "astray"}, "node.jit.tally": {"tally", "door"}}
+    left = {"node.jit.cache": "fork server sieve"}
     kept = [("", "door"), ("node.jit.cache", "bear"), ("node.jit.tally", "bear")]
     assert faults(found, kept, left) == [
         "'bear' is kept for node.jit.tally, and not used",

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from raygrid.emulator.analysis import NaiveMachine, Outcome, Waiting, surely_free
-from raygrid.emulator.processes import LOOKING
+from raygrid.emulator.processes import ANALYSIS
 from raygrid.host.cli.commands.simulate import compiling
 from raygrid.host.cli.progress import ProgressReporter
 from raygrid.host.image.outputs import write_lines, write_result
@@ -43,7 +43,7 @@ def run_jam(request: JamRequest) -> None:
     """Run the model without admission and with it, and print how both ended. Raises RaygridError."""
     scene = load_scene(request.scene)
     settings = {**request.settings, "size": request.settings.get("size") or DEFAULT_SIZE}
-    with ProgressReporter(False) as reporter, compiling(reporter, LOOKING):
+    with ProgressReporter(False) as reporter, compiling(reporter, ANALYSIS):
         reporter.phase(f"splitting {scene.name}")
         job = still_job(scene, request.shape, Settings(**settings), request.frame)
         free = surely_free(job.frame, request.room)

@@ -58,7 +58,7 @@ def _run(request: LawRequest, reporter: ProgressReporter) -> list[str]:
     from raygrid.host.machine_time.plots import pyplot
     from raygrid.host.machine_time.scaling_law import fits_of, sweep
     from raygrid.host.machine_time.scaling_law_report import report_paths, write_report
-    from raygrid.host.scene.animation.animation import frame_told
+    from raygrid.host.scene.animation.scene_frames import frame_told
     from raygrid.host.scene.load import load_scene
 
     cost = load_cost_model(request.cost)

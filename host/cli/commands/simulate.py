@@ -77,7 +77,7 @@ def _simulate(request: SimulateRequest, reporter: ProgressReporter) -> Simulated
     from raygrid.host.machine_time.cost_models import load_cost_model
     from raygrid.host.render.animation_jobs import still_job
     from raygrid.host.render.job import Settings
-    from raygrid.host.scene.animation.animation import frame_told
+    from raygrid.host.scene.animation.scene_frames import frame_told
     from raygrid.host.scene.load import load_scene
 
     cost = load_cost_model(request.cost)

@@ -7,7 +7,7 @@ import sys
 from dataclasses import dataclass
 from typing import Any
 
-from raygrid.emulator.processes import LOOKING
+from raygrid.emulator.processes import ANALYSIS
 from raygrid.host.cli.commands.simulate import compiling
 from raygrid.host.cli.progress import ProgressReporter
 from raygrid.host.cli.trace import Facts, headline, plain_lines, ray_line, sample_line, trace_pixel
@@ -39,7 +39,7 @@ class TraceRequest:
 def run_trace(request: TraceRequest) -> None:
     """Load the scene into an array in memory, trace the pixel, print its tree. Raises RaygridError."""
     scene = load_scene(request.scene)
-    with ProgressReporter(False) as reporter, compiling(reporter, LOOKING):
+    with ProgressReporter(False) as reporter, compiling(reporter, ANALYSIS):
         reporter.phase(f"splitting {scene.name}")
         job = still_job(scene, request.shape, Settings(**request.settings), request.frame)
         reporter.phase(f"tracing pixel {request.pixel[0]},{request.pixel[1]}")

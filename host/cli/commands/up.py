@@ -21,7 +21,7 @@ GRACE = 10.0  # seconds for a service to end that was told to
 
 
 @dataclass(frozen=True)
-class Launch:
+class UpRequest:
     """What the command line asks for."""
 
     shape: tuple[int, int, int]
@@ -42,7 +42,7 @@ ReadyFacts = TypedDict(
 )
 
 
-def run_up(launch: Launch) -> None:
+def run_up(launch: UpRequest) -> None:
     """Start the service and wait until it is ready. Raises RaygridError for what keeps it from that."""
     begun = time.perf_counter()
     directory = make_state_directory(launch.name)
@@ -79,7 +79,7 @@ def run_up(launch: Launch) -> None:
         )
 
 
-def _start(launch: Launch, reporter: ProgressReporter) -> ReadyFacts:
+def _start(launch: UpRequest, reporter: ProgressReporter) -> ReadyFacts:
     """Start the process; returns what it says when it is ready."""
     arguments = [launch.name, "--array", *map(str, launch.shape)]
     arguments += ["--batch", str(launch.batch), "--patience", str(launch.patience)]

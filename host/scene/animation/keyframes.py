@@ -1,4 +1,4 @@
-"""Values that change from frame to frame, given at some frames: keys, and what lies between them.
+"""Interpolates values between keyframes.
 
     linear   straight from key to key
     smooth   cubic from key to key: it starts and ends gently, goes evenly through the keys between, and nowhere beyond
@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry import F64
+from raygrid.node.geometry import F64, slerp
 
 WAYS = ("linear", "smooth", "step")
 
 
 @dataclass(frozen=True)
 class Keyframes:
-    """Keys of one value.
+    """Holds the keyframes of one value.
 
     frames  float64 (k,), ascending; of a glTF file, seconds
     values  float64 (k, n)
@@ -38,7 +38,7 @@ class Keyframes:
     turns: bool = False
 
     def at(self, frame: float) -> F64:
-        """The value at a frame, float64 (n,)."""
+        """Interpolate the value at a frame, float64 (n,)."""
         after = int(np.searchsorted(self.frames, frame, side="right"))
         if after == 0 or after == len(self.frames):
             return np.array(self.values[min(after, len(self.frames) - 1)])
@@ -75,7 +75,7 @@ class Keyframes:
 
 
 def make_keyframes(frames: ArrayLike, values: ArrayLike, way: str = "linear", turns: bool = False) -> Keyframes:
-    """A checked track. Raises SceneError for keys that are out of order, not finite, or none."""
+    """Check keys and make keyframes of them. Raises SceneError for keys that are out of order, not finite, or none."""
     at, rows = np.asarray(frames, np.float64), np.asarray(values, np.float64)
     if len(at) == 0 or way not in WAYS:
         raise SceneError(
@@ -90,16 +90,3 @@ def make_keyframes(frames: ArrayLike, values: ArrayLike, way: str = "linear", tu
             f"key {key + 1} is at {at[key + 1]:g}, after one at {at[key]:g}: wanted keys in ascending order"
         )
     return Keyframes(at, rows, way, turns)
-
-
-def slerp(one: F64, other: F64, part: float) -> F64:
-    """The unit quaternion a part of the way from one to another, at even speed, the short way."""
-    cosine = float(np.sum(one * other))
-    if cosine < 0.0:
-        other, cosine = -other, -cosine
-    if cosine > 1.0 - 1e-9:
-        mixed = one + (other - one) * part
-    else:
-        angle = np.arccos(min(cosine, 1.0))
-        mixed = (np.sin((1.0 - part) * angle) * one + np.sin(part * angle) * other) / np.sin(angle)
-    return np.asarray(mixed / np.sqrt(np.sum(mixed * mixed)))

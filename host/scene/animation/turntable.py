@@ -1,4 +1,4 @@
-"""Turntables for still scenes: the camera goes once round, or the scene turns once, in so many frames."""
+"""Animates a still scene as a turntable: the camera goes once round, or the scene turns once, in so many frames."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from raygrid.host.scene.animation.animation import MAX_FRAMES, Animation, Pose, about, motion, moved_point, turned
+from raygrid.host.scene.animation.motions import about, motion, moved_point, turned
 from raygrid.host.scene.cameras import Camera, Vector
 from raygrid.host.scene.lights import exposure_point
+from raygrid.host.scene.pose import MAX_FRAMES, Animation, Pose
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import SceneError
 from raygrid.node.geometry import F64, at_rest, make_groups
@@ -17,7 +18,7 @@ GROUP = "scene"
 
 
 def turntable(scene: Scene, frames: int, turn_scene: bool = False) -> Scene:
-    """The scene as a shot of one turn, frame 1 being as it stands.
+    """Animate the scene by one turn, frame 1 being as it stands.
 
     The axis goes through the point that the camera looks at, along that axis of the world (x, y or z) to which what is
     up in the world is nearest, however the camera is tilted. Either the camera turns round it, or all surfaces turn the
@@ -64,7 +65,7 @@ class _TurntableMotion:
 
 
 def moved_camera(camera: Camera, by: F64) -> Camera:
-    """A camera after a motion; its view stays as wide."""
+    """Move a camera by a motion; its view stays as wide."""
     forward, right, up = (_triple(turned(by, axis)) for axis in (camera.forward, camera.right, camera.up))
     return replace(camera, eye=_triple(moved_point(by, camera.eye)), forward=forward, right=right, up=up)
 

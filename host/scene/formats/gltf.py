@@ -1,9 +1,9 @@
-"""glTF 2.0 scenes (.glb and .gltf): geometry, node tree, cameras, lights and materials.
+"""Reads glTF 2.0 scenes (.glb and .gltf): geometry, node tree, cameras, lights and materials.
 
 The document is read here and not by trimesh, which (in 5.2) leaves the parents' scale out of cameras, makes up its own
 lights and drops transmission.
 
-Axes are glTF's: right-handed, y up. Materials: `scene_gltf_materials`. The first camera in the node tree is used.
+Axes are glTF's: right-handed, y up. Materials: `gltf_materials`. The first camera in the node tree is used.
 
 Exposure: lights come in candela and lux, which say how bright a scene is but not how it is to be photographed (an
 ordinary lamp out of Blender is 32,610 cd). All intensities are divided by one number, so that the brightest light gives
@@ -17,17 +17,15 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.host.scene.animation.animation import Animation
 from raygrid.host.scene.builder import MAX_COORDINATE, SceneBuilder, plural, shown
 from raygrid.host.scene.cameras import Camera, look_at_everything, orthographic_camera, perspective_camera
 from raygrid.host.scene.finish import finish_scene
 from raygrid.host.scene.formats.gltf_animation import GltfAnimation, Part, frames_of, part_names, read_animations
-from raygrid.host.scene.formats.gltf_document import Document
+from raygrid.host.scene.formats.gltf_document import Document, JsonObject
 from raygrid.host.scene.formats.gltf_materials import TINTED, GltfMaterial, Materials
 from raygrid.host.scene.lights import (
     Table,
@@ -38,10 +36,11 @@ from raygrid.host.scene.lights import (
     point_light,
     spot_light,
 )
+from raygrid.host.scene.pose import Animation
 from raygrid.host.scene.scene import Scene
 from raygrid.host.scene.textures import Bytes, as_bytes, bake
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry import F64, Kind, make_groups
+from raygrid.node.geometry import F64, Kind, make_groups, rotation_matrices, unit_quaternions
 
 Ints = NDArray[np.int64]
 
@@ -104,10 +103,10 @@ class _GltfReader:
         for _, first, end in self.moving:
             self.builder.let_move(first, end)
         lights = self._exposed(camera)
-        scene = finish_scene(self.builder, self.document.path, camera=camera, lights=lights, highlights=True)
-        return replace(scene, shot=self._shot(scene)) if self.motions else scene
+        scene = finish_scene(self.builder, self.document.path, camera=camera, lights=lights)
+        return replace(scene, shot=self._animation(scene)) if self.motions else scene
 
-    def _shot(self, scene: Scene) -> Animation:
+    def _animation(self, scene: Scene) -> Animation:
         """What the animations change."""
         orders, parts = self.builder.orders, [part for part, _, _ in self.moving]
         ids, numbers = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
@@ -117,7 +116,7 @@ class _GltfReader:
         given = max((float(light["intensity"].max()) for light in self.lights), default=0.0)
         shown_as = float(scene.lights["intensity"].max(initial=0.0))
         camera = next((part for part in self.camera_parts[:1] if part.moves(self.motions)), None)
-        rig = GltfAnimation(
+        poses = GltfAnimation(
             scene,
             self.motions,
             node_matrix,
@@ -129,7 +128,7 @@ class _GltfReader:
             shown_as / given if given > 0.0 else 1.0,
         )
         groups = make_groups(np.concatenate(ids), np.concatenate(numbers), len(parts))
-        return Animation(frames_of(self._last), tuple(part.name for part in parts), groups, rig.pose)
+        return Animation(frames_of(self._last), tuple(part.name for part in parts), groups, poses.pose)
 
     def _exposed(self, camera: Camera | None) -> Table | None:
         if not self.lights:
@@ -149,7 +148,7 @@ class _GltfReader:
             every = range(len(json.get("nodes", ())))
             children = {child for k in every for child in self.document.item("nodes", k).get("children", ())}
             roots = [k for k in every if k not in children]
-        above: tuple[tuple[int, dict[str, Any]], ...] = ()
+        above: tuple[tuple[int, JsonObject], ...] = ()
         waiting = [(number, np.eye(4), above) for number in reversed(roots)]
         seen: set[int] = set()
         while waiting:
@@ -181,12 +180,12 @@ class _GltfReader:
             self.light_parts.append(part)
             self.lights.append(_light(self._lamp(row), matrix))
 
-    def _lamp(self, row: dict[str, Any]) -> dict[str, Any]:
+    def _lamp(self, row: JsonObject) -> JsonObject:
         lamps = self.document.json["extensions"][LIGHTS]["lights"]
-        found: dict[str, Any] = lamps[row["extensions"][LIGHTS]["light"]]
+        found: JsonObject = lamps[row["extensions"][LIGHTS]["light"]]
         return found
 
-    def _camera(self, row: dict[str, Any], matrix: F64) -> Camera:
+    def _camera(self, row: JsonObject, matrix: F64) -> Camera:
         """A camera looks down its node's -z, its picture's up is +y; the node's scale does not change the angle."""
         eye, forward, up = matrix[:3, 3], -matrix[:3, 2], matrix[:3, 1]
         try:
@@ -196,7 +195,7 @@ class _GltfReader:
         except SceneError as error:
             raise self.document.error(str(error)) from None
 
-    def _add_primitive(self, primitive: dict[str, Any], matrix: F64) -> None:
+    def _add_primitive(self, primitive: JsonObject, matrix: F64) -> None:
         attributes = primitive["attributes"]
         if primitive.get("mode", TRIANGLES) not in (TRIANGLES, STRIP, FAN) or "POSITION" not in attributes:
             self.skipped += 1
@@ -218,7 +217,7 @@ class _GltfReader:
         turned = (normals @ cofactors.T) * math.copysign(1.0, np.linalg.det(m))
         self.builder.add(Kind.SMOOTH, np.concatenate((data, turned[faces].reshape(-1, 9)), axis=1), materials)
 
-    def _faces(self, primitive: dict[str, Any], points: int) -> Ints:
+    def _faces(self, primitive: JsonObject, points: int) -> Ints:
         """The triangles' vertices, (t, 3)."""
         index = np.arange(points)
         if "indices" in primitive:
@@ -236,7 +235,7 @@ class _GltfReader:
         odd = step % 2  # every other triangle of a strip runs the other way
         return np.stack((index[step], index[step + 1 + odd], index[step + 2 - odd]), axis=1)
 
-    def _face_materials(self, primitive: dict[str, Any], faces: Ints) -> Ints:
+    def _face_materials(self, primitive: JsonObject, faces: Ints) -> Ints:
         material = self.materials.get(primitive.get("material"))
         tints = self._tints(primitive["attributes"], material, faces)
         if tints is not None:
@@ -246,7 +245,7 @@ class _GltfReader:
             self._numbers[id(material)] = self.builder.add_materials(material.row)
         return np.full(len(faces), self._numbers[id(material)], np.int64)
 
-    def _tints(self, attributes: dict[str, Any], material: GltfMaterial, faces: Ints) -> Bytes | None:
+    def _tints(self, attributes: JsonObject, material: GltfMaterial, faces: Ints) -> Bytes | None:
         """The triangles' colours by texture and by vertex, sRGB, (t, 3); None if they have neither."""
         tints: F64 | None = None
         if material.texture is not None and material.coordinates in attributes:
@@ -260,28 +259,22 @@ class _GltfReader:
         return None if tints is None else as_bytes(tints)
 
 
-def node_matrix(row: dict[str, Any]) -> F64:
+def node_matrix(row: JsonObject) -> F64:
     """A node's own matrix, (4, 4): `matrix`, or translation x rotation x scale."""
     if "matrix" in row:
         matrix = np.array(row["matrix"], np.float64).reshape(4, 4).T
     else:
         x, y, z, w = np.array(row.get("rotation", (0, 0, 0, 1)), np.float64).tolist()
-        norm = math.sqrt(x * x + y * y + z * z + w * w) or 1.0
-        x, y, z, w = x / norm, y / norm, z / norm, w / norm
-        turn = np.array(
-            (
-                (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
-                (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
-                (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
-            )
-        )
+        x, y, z, w = unit_quaternions(np.array((x, y, z, w)))
         matrix = np.eye(4)
-        matrix[:3, :3] = turn * np.array(row.get("scale", (1, 1, 1)), np.float64)
+        matrix[:3, :3] = rotation_matrices(np.array([(w, x, y, z)]))[0] * np.array(
+            row.get("scale", (1, 1, 1)), np.float64
+        )
         matrix[:3, 3] = row.get("translation", (0, 0, 0))
     return matrix
 
 
-def _light(row: dict[str, Any], matrix: F64) -> Table:
+def _light(row: JsonObject, matrix: F64) -> Table:
     """A light shines down its node's -z."""
     strength = float(row.get("intensity", 1.0)) * np.array(row.get("color", (1.0, 1.0, 1.0)), np.float64)
     if not np.isfinite(strength).all() or strength.min() < 0.0 or len(strength) != 3:

@@ -1,4 +1,4 @@
-"""Animations of a glTF file: where its nodes are at any time, and the shot that this makes.
+"""Reads the animations of a glTF file, and poses its nodes by them.
 
 All animations of the file play together from time 0. Frame 1 is time 0, and there are FPS frames a second. A mesh under
 nodes that move is a group; what its nodes do to it must be turning, even scaling and shifting of how the file places it.
@@ -10,18 +10,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from raygrid.host.scene.animation.animation import FPS, MAX_FRAMES, Pose, motion
 from raygrid.host.scene.animation.keyframes import Keyframes, make_keyframes
+from raygrid.host.scene.animation.motions import motion
 from raygrid.host.scene.cameras import Camera
-from raygrid.host.scene.formats.gltf_document import Document
+from raygrid.host.scene.formats.gltf_document import Document, JsonObject
 from raygrid.host.scene.lights import Table, light_table
+from raygrid.host.scene.pose import FPS, MAX_FRAMES, Pose
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry import F64, at_rest
+from raygrid.node.geometry import F64, at_rest, quaternion_of_matrix, unit_quaternions
 
 WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 UNEVEN = 1e-4  # how far a motion may be from turning and even scaling, as a part of its scale: files hold binary32
@@ -73,7 +73,7 @@ def read_animations(document: Document) -> tuple[Motions, float]:
     return found, last
 
 
-def _track(document: Document, sampler: dict[str, Any], path: str, where: str) -> tuple[Keyframes | Spline, float]:
+def _track(document: Document, sampler: JsonObject, path: str, where: str) -> tuple[Keyframes | Spline, float]:
     times = document.accessor(sampler["input"])[:, 0].astype(np.float64)
     values = document.accessor(sampler["output"]).astype(np.float64)
     way = sampler.get("interpolation", "LINEAR")
@@ -89,7 +89,7 @@ def _track(document: Document, sampler: dict[str, Any], path: str, where: str) -
             return Spline(times, values.reshape(len(times), 3, -1)), float(times[-1])
         if path == "rotation":
             length = np.linalg.norm(values, axis=1, keepdims=True)
-            values = np.where(length > 0.0, values / np.where(length > 0.0, length, 1.0), (0.0, 0.0, 0.0, 1.0))
+            values = np.where(length > 0.0, unit_quaternions(values), (0.0, 0.0, 0.0, 1.0))
         step = "step" if way == "STEP" else "linear"
         return make_keyframes(times, values, step, turns=path == "rotation"), float(times[-1])
     except SceneError as error:
@@ -97,7 +97,7 @@ def _track(document: Document, sampler: dict[str, Any], path: str, where: str) -
 
 
 def frames_of(last: float, fps: float = FPS) -> int:
-    """How many frames a shot has whose last key is at this time."""
+    """Count the frames of an animation whose last key is at this time. Raises SceneError for too many."""
     frames = math.floor(last * fps + 1e-6) + 1
     if frames > MAX_FRAMES:
         raise SceneError(f"the animations last {last:g} s, wanted at most {MAX_FRAMES / fps:g} s")
@@ -109,20 +109,20 @@ class Part:
     """A mesh, camera or light of the file: its node, and that node's parents from the root on, with their rows."""
 
     name: str
-    path: tuple[tuple[int, dict[str, Any]], ...]
+    path: tuple[tuple[int, JsonObject], ...]
 
     def moves(self, motions: Motions) -> bool:
-        """Whether any of the nodes is animated."""
+        """Test whether any of the nodes is animated."""
         return any((number, path) in motions for number, _ in self.path for path in WIDTHS)
 
 
 @dataclass(frozen=True)
 class GltfAnimation:
-    """The moving parts of a file. `place` gives a node's own matrix, (4, 4), of its row."""
+    """Animates the moving parts of a file. `place` gives a node's own matrix, (4, 4), of its row."""
 
     scene: Scene
     motions: Motions
-    place: Callable[[dict[str, Any]], F64]
+    place: Callable[[JsonObject], F64]
     groups: tuple[Part, ...]
     camera: Part | None
     lights: tuple[Part, ...]
@@ -132,7 +132,7 @@ class GltfAnimation:
     fps: float = FPS
 
     def pose(self, frame: int) -> Pose:
-        """Where everything is. Raises SceneError for what a group cannot do."""
+        """Pose everything. Raises SceneError for what a group cannot do."""
         time = (frame - 1) / self.fps
         motions = [self._motion(part, time) for part in self.groups]
         camera = (
@@ -168,27 +168,10 @@ class GltfAnimation:
         turn = by[:3, :3] / scale
         if np.abs(turn.T @ turn - np.eye(3)).max() > UNEVEN:
             raise SceneError(f"{part.name} is scaled unevenly by its animation, wanted the same along all axes")
-        return motion(_quaternion(turn), scale, by[:3, 3])
+        return motion(quaternion_of_matrix(turn), scale, by[:3, 3])
 
 
-def _quaternion(turn: F64) -> F64:
-    """The unit quaternion of a rotation matrix, from the largest of its parts."""
-    trace = turn[0, 0] + turn[1, 1] + turn[2, 2]
-    squares = np.array([trace, turn[0, 0], turn[1, 1], turn[2, 2]])
-    k = int(np.argmax(squares))
-    if k == 0:
-        found = np.array([1.0 + trace, turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-    else:
-        i, j, m = k - 1, k % 3, (k + 1) % 3
-        found = np.zeros(4)
-        found[0] = turn[m, j] - turn[j, m]
-        found[1 + i] = 1.0 + turn[i, i] - turn[j, j] - turn[m, m]
-        found[1 + j] = turn[j, i] + turn[i, j]
-        found[1 + m] = turn[m, i] + turn[i, m]
-    return np.asarray(found / np.sqrt(np.sum(found * found)))
-
-
-def part_names(paths: Sequence[tuple[int, dict[str, Any]]]) -> str:
-    """What to call a node: by its name, or by its number."""
+def part_names(paths: Sequence[tuple[int, JsonObject]]) -> str:
+    """Name a node: by its name, or by its number."""
     number, row = paths[-1]
     return str(row.get("name") or f"nodes[{number}]")

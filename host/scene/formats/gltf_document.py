@@ -1,4 +1,4 @@
-"""glTF 2.0 as a document: the container, its JSON, buffers, accessors and pictures.
+"""Reads glTF 2.0 as a document: the container, its JSON, buffers, accessors and pictures.
 
 .glb holds JSON and one buffer; .gltf is JSON with its buffers beside it or inside as data URIs. What a file says of its
 own sizes is checked against what is there, so that a cut file is an error and not a wrong picture.
@@ -33,6 +33,10 @@ LONGEST_NAME = 2**14  # of a file
 LONGEST_PLAIN = 2**24  # of a data URI without base64, a hundred bytes each in turn
 
 
+JsonObject = dict[str, Any]  # free-form: `gltf.load_gltf` turns what its use raises into an error of the file
+Values = NDArray[Any]  # of the type that the file names
+
+
 class Document:
     """One glTF file. Raises SceneError with the file and the place in it."""
 
@@ -51,13 +55,13 @@ class Document:
         version = str(self.json["asset"].get("version", ""))
         if not version.startswith("2."):
             raise self.error(f"the file is of glTF version {shown(version)}, wanted 2.0")
-        self._buffers: dict[int, bytes] = {}
+        self._buffers: dict[object, bytes] = {}
 
     def error(self, message: str) -> SceneError:
         """An error about this file."""
         return SceneError(f"{self.path}: {message}")
 
-    def item(self, table: str, number: Any) -> dict[str, Any]:
+    def item(self, table: str, number: object) -> JsonObject:
         """Entry `number` of a top-level list; raises SceneError if there is none."""
         rows = self.json.get(table, [])
         if not isinstance(number, int) or not isinstance(rows, list) or not 0 <= number < len(rows):
@@ -67,7 +71,7 @@ class Document:
             raise self.error(f"{table}[{number}] is {shown(row)}, wanted an object")
         return row
 
-    def accessor(self, number: Any) -> NDArray[Any]:
+    def accessor(self, number: object) -> Values:
         """The values of an accessor, (count, width); normalised integers as float64."""
         row = self.item("accessors", number)
         where = f"accessors[{number}]"
@@ -86,7 +90,7 @@ class Document:
             return scaled
         return values
 
-    def picture(self, number: Any) -> tuple[bytes, str]:
+    def picture(self, number: object) -> tuple[bytes, str]:
         """The bytes of an image, and what to call it."""
         row = self.item("images", number)
         where = f"{self.path}, images[{number}]"
@@ -115,13 +119,13 @@ class Document:
             raise self.error("the file has no JSON chunk, wanted one")
         return chunks[JSON_CHUNK], chunks.get(BINARY_CHUNK)
 
-    def _size(self, row: dict[str, Any], key: str, where: str, default: int | None = None) -> int:
+    def _size(self, row: JsonObject, key: str, where: str, default: int | None = None) -> int:
         value = row.get(key, default)
         if not isinstance(value, int) or isinstance(value, bool) or value < 0:
             raise self.error(f"{where}.{key} is {shown(value)}, wanted a whole number, not below 0")
         return value
 
-    def _view(self, number: Any) -> tuple[bytes, int]:
+    def _view(self, number: object) -> tuple[bytes, int]:
         """The bytes of a buffer view and its stride, 0 for none."""
         row = self.item("bufferViews", number)
         where = f"bufferViews[{number}]"
@@ -131,7 +135,7 @@ class Document:
             raise self.error(f"{where} ends at byte {start + length} of a buffer of {len(data)} bytes")
         return data[start : start + length], self._size(row, "byteStride", where, 0)
 
-    def _buffer(self, number: Any) -> bytes:
+    def _buffer(self, number: object) -> bytes:
         row = self.item("buffers", number)
         if number not in self._buffers:
             if "uri" in row:
@@ -145,7 +149,7 @@ class Document:
             raise self.error(f"buffers[{number}] has {len(data)} bytes, wanted {length}")
         return data
 
-    def _resource(self, uri: Any, where: str) -> bytes:
+    def _resource(self, uri: object, where: str) -> bytes:
         if not isinstance(uri, str):
             raise self.error(f"{where}.uri is {shown(uri)}, wanted a text")
         if not uri.startswith("data:"):
@@ -164,7 +168,7 @@ class Document:
         except binascii.Error as error:
             raise self.error(f"{where}.uri is no base64 ({error})") from None
 
-    def _strided(self, row: dict[str, Any], dtype: np.dtype[Any], width: int, count: int, where: str) -> NDArray[Any]:
+    def _strided(self, row: JsonObject, dtype: np.dtype[np.generic], width: int, count: int, where: str) -> Values:
         data, stride = self._view(row["bufferView"])
         start, size = self._size(row, "byteOffset", where, 0), dtype.itemsize * width
         stride = stride or size
@@ -179,7 +183,7 @@ class Document:
             else np.zeros((0, width), dtype)
         )
 
-    def _with_exceptions(self, values: NDArray[Any], sparse: dict[str, Any], where: str) -> NDArray[Any]:
+    def _with_exceptions(self, values: Values, sparse: JsonObject, where: str) -> Values:
         count = self._size(sparse, "count", f"{where}.sparse")
         kind = np.dtype(COMPONENTS[sparse["indices"]["componentType"]])
         rows = self._strided(sparse["indices"], kind, 1, count, f"{where}.sparse.indices")[:, 0]

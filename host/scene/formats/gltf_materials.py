@@ -1,4 +1,4 @@
-"""The materials of glTF files, mapped from physically based shading to Whitted's.
+"""Maps the materials of glTF files from physically based shading to Whitted's.
 
 With base colour C, metal m, roughness r, transmission t (each 0 to 1) and ior n:
 
@@ -17,12 +17,11 @@ Textures of the base colour are baked into triangles (`textures`). Those of meta
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from raygrid.host.scene.builder import IORS, LEAST_IOR, MOST_IOR, Table, material
-from raygrid.host.scene.formats.gltf_document import Document
+from raygrid.host.scene.formats.gltf_document import Document, JsonObject
 from raygrid.host.scene.formats.mtl import GREY
 from raygrid.host.scene.textures import Bytes, Texture, Wrap, read_picture
 from raygrid.node.geometry import F64
@@ -50,10 +49,10 @@ class Materials:
     def __init__(self, document: Document, remarks: list[str]) -> None:
         self._document = document
         self._remarks = remarks
-        self._made: dict[int, GltfMaterial] = {}
-        self._pictures: dict[int, Bytes] = {}
+        self._made: dict[object, GltfMaterial] = {}
+        self._pictures: dict[object, Bytes] = {}
 
-    def get(self, number: Any) -> GltfMaterial:
+    def get(self, number: object) -> GltfMaterial:
         """The material of that number; None: matte grey."""
         if number is None:
             return PLAIN
@@ -62,7 +61,7 @@ class Materials:
             self._made[number] = self._make(row, f"material {row.get('name', number)}")
         return self._made[number]
 
-    def _make(self, row: dict[str, Any], name: str) -> GltfMaterial:
+    def _make(self, row: JsonObject, name: str) -> GltfMaterial:
         pbr, extensions = row.get("pbrMetallicRoughness", {}), row.get("extensions", {})
         base = np.array(pbr.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0)), np.float64)
         metal, rough = float(pbr.get("metallicFactor", 1.0)), float(pbr.get("roughnessFactor", 1.0))
@@ -85,7 +84,7 @@ class Materials:
         texture, coordinates = self._texture(pbr["baseColorTexture"])
         return GltfMaterial(shaded, texture, coordinates)
 
-    def _texture(self, info: dict[str, Any]) -> tuple[Texture, str]:
+    def _texture(self, info: JsonObject) -> tuple[Texture, str]:
         if "KHR_texture_transform" in info.get("extensions", {}):
             self._remarks.append("the transform of a texture left out")
         row = self._document.item("textures", info["index"])
@@ -94,7 +93,7 @@ class Materials:
         source = row.get("source", row.get("extensions", {}).get(WEBP, {}).get("source"))
         return Texture(self._texels(source), *wraps), f"TEXCOORD_{info.get('texCoord', 0)}"
 
-    def _texels(self, number: Any) -> Bytes:
+    def _texels(self, number: object) -> Bytes:
         """The texels of an image, which several textures may share."""
         if not isinstance(number, int) or number not in self._pictures:
             data, where = self._document.picture(number)
@@ -102,7 +101,7 @@ class Materials:
         return self._pictures[number]
 
 
-def shading(base: F64, metal: float, rough: float, passing: float, ior: float, extra: dict[str, Any]) -> Table:
+def shading(base: F64, metal: float, rough: float, passing: float, ior: float, extra: JsonObject) -> Table:
     """The row for a base colour (3,), linear, and the numbers named in the module's table.
 
     extra: KHR_materials_specular, which scales the highlight of what is no metal.

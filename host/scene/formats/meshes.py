@@ -1,4 +1,4 @@
-"""Meshes: OBJ with MTL (`scene_obj`), PLY (`scene_ply`) and STL (by trimesh), with a camera and lights that show them.
+"""Reads meshes: OBJ with MTL (`obj`), PLY (`ply`) and STL (by trimesh), with a camera and lights that show them.
 
 Axes: OBJ and PLY files have y up, STL files z up. Coordinates stay as they are; the invented camera knows.
 
@@ -34,7 +34,7 @@ def load_obj(path: Path) -> Scene:
 
     builder = SceneBuilder(str(path))
     ObjReader(path).read_into(builder)
-    return finish_scene(builder, path, up=Y_UP, highlights=True)
+    return finish_scene(builder, path, up=Y_UP)
 
 
 def load_ply(path: Path) -> Scene:
@@ -43,7 +43,7 @@ def load_ply(path: Path) -> Scene:
 
     builder = SceneBuilder(str(path))
     PlyReader(path, read_bytes(path), builder).read_into()
-    return finish_scene(builder, path, up=Y_UP, highlights=True)
+    return finish_scene(builder, path, up=Y_UP)
 
 
 def load_stl(path: Path) -> Scene:
@@ -64,7 +64,7 @@ def load_stl(path: Path) -> Scene:
         if len(getattr(mesh, "faces", ())):
             points: F64 = np.asarray(mesh.vertices, np.float64)
             builder.add(Kind.TRIANGLE, points[np.asarray(mesh.faces, np.int64)].reshape(-1, 9), grey)
-    return finish_scene(builder, path, up=Z_UP, highlights=True)
+    return finish_scene(builder, path, up=Z_UP)
 
 
 def _check_stl(path: Path, data: bytes) -> None:

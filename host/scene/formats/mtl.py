@@ -1,4 +1,4 @@
-"""MTL, the materials of OBJ files."""
+"""Reads MTL, the materials of OBJ files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""NFF, the Neutral File Format of the Standard Procedural Databases: the whole of it.
+"""Reads NFF, the Neutral File Format of the Standard Procedural Databases: the whole of it.
 
 =========================================  ==================================================================
 v from at up angle hither resolution       the camera, once; its six parts in any order; hither is not used
@@ -40,7 +40,7 @@ Mask = NDArray[np.bool_]
 VIEW = ("from", "at", "up", "angle", "hither", "resolution")
 SURFACES = ("s", "c", "p", "pp")
 MAX_SIDE = 65_535  # pixels; a larger picture is a misread file
-MAX_VALUE = 1e30  # see scene_builder.MAX_COORDINATE
+MAX_VALUE = 1e30  # see builder.MAX_COORDINATE
 
 
 def load_nff(path: Path) -> Scene:

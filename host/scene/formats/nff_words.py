@@ -1,4 +1,4 @@
-"""An NFF file as words: splitting, numbers in bulk, and which numbers belong to which keyword.
+"""Splits an NFF file into words, converts numbers in bulk, and assigns them to their keywords.
 
 The format is a sequence of blank-separated words. A keyword is any word that begins with a letter (or a character above
 them); what follows it, up to the next, must be numbers. So one pass finds the keywords, one converts all numbers, and

@@ -1,4 +1,4 @@
-"""Wavefront OBJ and MTL.
+"""Reads Wavefront OBJ with its MTL files.
 
 Read here and not by trimesh, whose reader (5.2) fits poorly: it drops incomplete lines in silence where a cut file
 should be an error with a line number, counts relative indices from the end of the file, cuts concave faces into

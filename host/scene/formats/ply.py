@@ -1,4 +1,4 @@
-"""PLY, Stanford polygons: text and binary of both byte orders, by plyfile, whose polygons are cut as those of all formats.
+"""Reads PLY, Stanford polygons: text and binary of both byte orders, by plyfile; polygons are cut as those of all formats.
 
 Used of an element vertex: x y z, nx ny nz, red green blue; of face: vertex_indices (or vertex_index), red green blue. Other
 elements, and textures, are left out with a remark. What a header says is there is compared with the length of the file

@@ -1,6 +1,6 @@
-"""The scene file (TOML): our own format for scenes made of primitives and meshes, with materials, lights and camera.
+"""Reads the scene file (TOML), our own format: primitives and meshes, with materials, lights and camera.
 
-`scenefile_schema` says what may stand in it, this module turns it into a scene. Ids run through the included file,
+`toml_schema` says what may stand in it, this module turns it into a scene. Ids run through the included file,
 then [[surfaces]], then [[meshes]]. Errors name the file, the line if it can be found, the key, what came and what was
 wanted; only the first is told, since the others are often its consequences.
 """
@@ -17,21 +17,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.host.files.toml_reader import read_toml
-from raygrid.host.scene.animation.animation import Animation, quaternion
-from raygrid.host.scene.animation.scene_animation import SceneAnimation, keyed
 from raygrid.host.scene.builder import SceneBuilder, material, shown
 from raygrid.host.scene.cameras import DEFAULT_FOV, Camera, orthographic_camera, perspective_camera
 from raygrid.host.scene.file_access import read_bytes
 from raygrid.host.scene.finish import NO_CAMERA, NO_LIGHT, UNLIT, finish_scene
 from raygrid.host.scene.formats import toml_schema as schema
 from raygrid.host.scene.formats.mtl import GREY
+from raygrid.host.scene.formats.toml_animation import SceneAnimation, keyed
 from raygrid.host.scene.formats.toml_errors import Key, checked, located, shown_key
 from raygrid.host.scene.lights import Table, directional_light, light_table, point_light, spot_light
 from raygrid.host.scene.load import load_scene
+from raygrid.host.scene.pose import Animation
 from raygrid.host.scene.scene import Scene
 from raygrid.host.scene.transform import moved, placement
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry import F64, NUMBERS, AddedKind, Groups, Kind, make_groups
+from raygrid.node.geometry import F64, NUMBERS, AddedKind, Groups, Kind, make_groups, quaternion_of_angles
 from raygrid.node.protocol import RULE_COLUMNS
 
 SOFT_EDGE = 0.8  # a spot's full light reaches this part of the way to its rim unless the file says otherwise
@@ -80,13 +80,18 @@ class _TomlReader:
             lights=light_table([first_lights, *map(_light, file.lights)]),
             background=background,
             highlights=True if file.highlights is None else file.highlights,
+        )
+        up = file.camera.up if file.camera else base.up if base else scene.up
+        return replace(
+            scene,
             size=size,
             samples=image.samples,
             depth=image.depth,
             min_weight=image.min_weight,
+            rules=self._rules(len(scene.materials)),
+            shot=self._animation(scene, first_lights),
+            up=up,
         )
-        up = file.camera.up if file.camera else base.up if base else scene.up
-        return replace(scene, up=up, rules=self._rules(len(scene.materials)), shot=self._shot(scene, first_lights))
 
     def _rules(self, materials: int) -> F64 | None:
         """The numbers that materials have for a program; None if none has any."""
@@ -99,8 +104,8 @@ class _TomlReader:
                 rules[row, 0], rules[row, 1 : 1 + len(m.rule)] = 1.0, m.rule
         return rules
 
-    def _shot(self, scene: Scene, first_lights: Table) -> Animation | None:
-        """What changes; None if nothing does."""
+    def _animation(self, scene: Scene, first_lights: Table) -> Animation | None:
+        """The animation; None if nothing changes."""
         file, table = self.file, self.file.shot or schema.AnimationTable()
         holders = [
             *file.groups.values(),
@@ -112,7 +117,7 @@ class _TomlReader:
         if table.frames is None and last == 0:
             return None
         names, way = tuple(file.groups), table.interpolation
-        rig = SceneAnimation(
+        poses = SceneAnimation(
             scene,
             tuple(keyed(schema.Motion(), g.keys, g.interpolation or way) for g in file.groups.values()),
             tuple(g.pivot for g in file.groups.values()),
@@ -129,7 +134,7 @@ class _TomlReader:
             _light,
             _material,
         )
-        return Animation(table.frames or last, names, self._groups(names), rig.pose, table.fps)
+        return Animation(table.frames or last, names, self._groups(names), poses.pose, table.fps)
 
     def _groups(self, names: tuple[str, ...]) -> Groups:
         """Which surfaces are in which group."""
@@ -205,7 +210,7 @@ class _TomlReader:
             self.builder.add(Kind.SPHERE, np.array([[*surface.centre, surface.radius]]), number)
         elif isinstance(surface, schema.ProgramSurface):
             numbers = [*surface.numbers, *[0.0] * (NUMBERS - len(surface.numbers))]
-            row = [*quaternion(surface.rotate), surface.scale, *surface.centre, *surface.half, *numbers]
+            row = [*quaternion_of_angles(surface.rotate), surface.scale, *surface.centre, *surface.half, *numbers]
             self.builder.add(AddedKind.PROGRAMMED, np.array([row]), number)
         elif isinstance(surface, schema.Triangle):
             corners = np.array([*surface.points, *(surface.normals or ())])

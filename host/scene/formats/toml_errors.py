@@ -1,4 +1,4 @@
-"""From what pydantic says of a scene file to one sentence: file, line, key, what came, what was wanted."""
+"""Turns pydantic's errors about a scene file into one sentence: file, line, key, what came, what was wanted."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import AliasChoices, BaseModel, ValidationError
+from pydantic_core import ErrorDetails
 
 from raygrid.host.scene.builder import shown
 from raygrid.host.scene.formats.toml_schema import KEYS, TABLES, SceneFile
@@ -21,7 +22,7 @@ LONGEST_LINE = 500  # that is looked at: the header of blanks alone takes time b
 ASSIGNMENT = re.compile(r"\s*([\w.-]+|\"[^\"]*\")\s*=")
 
 
-def checked(path: Path, text: str, tables: dict[str, Any]) -> SceneFile:
+def checked(path: Path, text: str, tables: dict[str, object]) -> SceneFile:
     """The tables of a file as a SceneFile; raises SceneError for the first fault. `text` is for the line number."""
     try:
         return SceneFile.model_validate(tables)
@@ -32,7 +33,7 @@ def checked(path: Path, text: str, tables: dict[str, Any]) -> SceneFile:
     raise SceneError(_sentence(path, text, tables, (unknown or faults)[0]))
 
 
-def _sentence(path: Path, text: str, tables: dict[str, Any], fault: Any) -> str:
+def _sentence(path: Path, text: str, tables: dict[str, object], fault: ErrorDetails) -> str:
     key, tag = _without_tags(fault["loc"], tables)
     where, name = located(path, text, key), shown_key(key)
     kind, message = fault["type"], fault["msg"]
@@ -72,12 +73,12 @@ def _without_tags(loc: Sequence[str | int], tables: Any) -> tuple[Key, str]:
     return tuple(key), tag
 
 
-def _keys(model: Any) -> list[str]:
+def _keys(model: type[BaseModel]) -> list[str]:
     """The keys of a table as users write them."""
     names = []
     for name, field in model.model_fields.items():
         alias = field.validation_alias
-        names.append(str(alias.choices[0]) if alias is not None else name)
+        names.append(str(alias.choices[0]) if isinstance(alias, AliasChoices) else name)
     return names
 
 

@@ -1,4 +1,4 @@
-"""The tables and keys of a scene file (TOML), as pydantic models. `docs/scenes.md` is the reference for users.
+"""Defines the tables and keys of a scene file (TOML) as pydantic models. `docs/scenes.md` is the reference for users.
 
 Unknown keys are refused: a misspelt one would otherwise be a silent default. Numbers must be numbers ("1.5" is none).
 """
@@ -6,7 +6,7 @@ Unknown keys are refused: a misspelt one would otherwise be a silent default. Nu
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import (
     AfterValidator,
@@ -26,7 +26,7 @@ MAX_DEPTH = 31  # five bits of a packet hold the depth
 MAX_FRAME = 1_000_000
 
 
-def _tripled(value: Any) -> Any:
+def _tripled(value: object) -> object:
     """One number stands for three equal ones."""
     return (value, value, value) if isinstance(value, int | float) and not isinstance(value, bool) else value
 
@@ -260,64 +260,60 @@ class DirectionalLight(FileTable):
     disc_colour: Colour | None = Field(default=None, validation_alias=AliasChoices("disc_colour", "disc_color"))
 
 
-class Sphere(FileTable):
+class SurfaceTable(FileTable):
+    """[[surfaces]] of any kind"""
+
+    kind: str
+    material: Text | None = None
+    group: Text | None = None
+
+
+class Sphere(SurfaceTable):
     """[[surfaces]] of kind sphere; below 0 the radius means that only the inside shows."""
 
     kind: Literal["sphere"]
-    material: Text | None = None
-    group: Text | None = None
     centre: Point = Field(validation_alias=AliasChoices("centre", "center"))
     radius: NotZero
 
 
-class Cylinder(FileTable):
+class Cylinder(SurfaceTable):
     """[[surfaces]] of kind cylinder, open at both ends"""
 
     kind: Literal["cylinder"]
-    material: Text | None = None
-    group: Text | None = None
     base: Point
     top: Point
     radius: NotZero
 
 
-class Cone(FileTable):
+class Cone(SurfaceTable):
     """[[surfaces]] of kind cone, open at both ends"""
 
     kind: Literal["cone"]
-    material: Text | None = None
-    group: Text | None = None
     base: Point
     base_radius: Number
     apex: Point
     apex_radius: Number = 0.0
 
 
-class Triangle(FileTable):
+class Triangle(SurfaceTable):
     """[[surfaces]] of kind triangle"""
 
     kind: Literal["triangle"]
-    material: Text | None = None
-    group: Text | None = None
     points: tuple[Point, Point, Point]
     normals: tuple[Direction, Direction, Direction] | None = None
 
 
-class Polygon(FileTable):
+class Polygon(SurfaceTable):
     """[[surfaces]] of kind polygon"""
 
     kind: Literal["polygon"]
-    material: Text | None = None
-    group: Text | None = None
     points: Annotated[list[Point], Field(min_length=3)]
 
 
-class Box(FileTable):
+class Box(SurfaceTable):
     """[[surfaces]] of kind box, along the axes"""
 
     kind: Literal["box"]
-    material: Text | None = None
-    group: Text | None = None
     low: Point
     high: Point
 
@@ -328,12 +324,10 @@ class Box(FileTable):
         return self
 
 
-class ProgramSurface(FileTable):
+class ProgramSurface(SurfaceTable):
     """[[surfaces]] of kind program: what the program makes of its numbers, in a box"""
 
     kind: Literal["program"]
-    material: Text | None = None
-    group: Text | None = None
     centre: Point = Field(validation_alias=AliasChoices("centre", "center"))
     half: tuple[Above0, Above0, Above0]
     scale: Above0 = 1.0

@@ -15,7 +15,7 @@ from support.scenes import inside, mixed_scene, space_of
 from support.space import EVEN_STEP, UNEVEN_STEP, cells, even_space, neighbour, spaces
 from support.surfaces import batch, random_rows, rows_on_planes, shuffled_ids
 
-from raygrid.emulator.driver import driver as driver_module
+from raygrid.emulator.driver import dealing
 from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.node.geometry.grid_walk import HOST
 from raygrid.node.geometry.lattice import HALF, make_cell
@@ -131,7 +131,7 @@ def test_the_end_of_loading_is_not_believed_too_soon():
 
 
 def test_messages_of_one_surface_and_a_world_in_one_corner(monkeypatch):
-    monkeypatch.setattr(driver_module, "CHUNK_BYTES", 1)
+    monkeypatch.setattr(dealing, "CHUNK_BYTES", 1)
     rows = [0.02 * row + 0.45 for row in random_rows(Kind.TRIANGLE, np.random.default_rng(1), 60)]
     surfaces, space = SurfaceSet((batch(Kind.TRIANGLE, rows),)), even_space((3, 3, 3))
     array, handed = load_and_listen(space, surfaces, haphazard(1))

@@ -12,7 +12,7 @@ from support.render import SCENES
 from support.surfaces import batch, random_rows
 
 from raygrid.emulator.driver.memory_array import MemoryArray
-from raygrid.emulator.partition import sampling_prepass as pilot_module
+from raygrid.emulator.partition import sampling_prepass as prepass_module
 from raygrid.emulator.partition import split as split_module
 from raygrid.emulator.partition.cost_grid import (
     NotCompiledError,
@@ -117,7 +117,7 @@ def test_a_frame_without_rays_is_split_by_surfaces() -> None:
 
 def test_nothing_is_estimated_where_there_is_no_choice(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
-        raise AssertionError("a pilot flew")
+        raise AssertionError("a pre-pass ran")
 
     monkeypatch.setattr(split_module, "_by_prepass", refuse)
     job_of("tiny.nff", (1, 1, 1))
@@ -169,7 +169,7 @@ def test_a_choice_of_planes_of_a_finer_grid_has_the_walks_of_its_own_grid() -> N
     assert cost == pytest.approx(cells.max() + 0.5 * cells.mean(), rel=0.05)
 
 
-def test_a_coarse_pilot_sees_what_a_fine_one_sees() -> None:
+def test_a_coarse_prepass_sees_what_a_fine_one_sees() -> None:
     job = job_of("glass.toml", (3, 3, 3), size=(512, 512))
     coarse, fine = (
         by_cell(count_work(run_prepass(job.world.step, job.surfaces, job.frame, n), job.space)) for n in (48, 160)
@@ -219,7 +219,7 @@ def test_a_large_mesh_is_seen_by_its_stand_ins(monkeypatch: pytest.MonkeyPatch) 
     assert len(chosen) <= MOST_SURFACES
     assert (chosen.batches[0].data == floor).all(axis=1).any()
     some = by_cell(count_work(run_prepass(job.world.step, mesh, job.frame), job.space, WALKS))
-    monkeypatch.setattr(pilot_module, "stand_ins", merge)
+    monkeypatch.setattr(prepass_module, "stand_ins", merge)
     whole = by_cell(count_work(run_prepass(job.world.step, mesh, job.frame), job.space, WALKS))
     assert np.abs(some / some.sum() - whole / whole.sum()).max() < 0.03
 

@@ -16,8 +16,9 @@ from raygrid.emulator.driver.driver import BUDGET
 from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.emulator.processes.array import Array
 from raygrid.emulator.topology.bounds import memory_bound, packets_bound, pixel_packets_bound, surfaces_bound
+from raygrid.emulator.topology.coordinates import indices
 from raygrid.emulator.topology.limits import NODE_BYTES
-from raygrid.emulator.topology.topology import indices, neighbour_links
+from raygrid.emulator.topology.topology import neighbour_links
 from raygrid.host.image.picture import Picture
 from raygrid.host.render.frame import render_job
 from raygrid.host.render.job import Job, Settings, make_job

@@ -24,7 +24,7 @@ from support.links import Meddler, renumbered
 from support.scenes import Scene, mixed_scene, space_of
 from support.space import EVEN_STEP
 
-from raygrid.emulator.driver import driver
+from raygrid.emulator.driver import dealing
 from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.node.errors import ArrayError, ProtocolError, Stuck
 from raygrid.node.geometry.grid_walk import HOST
@@ -167,7 +167,7 @@ def test_surfaces_that_are_lost_are_a_hang():
 @pytest.mark.parametrize("at", ["sorted", "sent"])
 def test_a_load_is_given_up_between_messages_and_leaves_a_usable_array(at, monkeypatch):
     """Nobody waits for a corner then: the scene is small, or its messages are not even made."""
-    monkeypatch.setattr(driver, "CHUNK_BYTES", 1)  # a surface a message
+    monkeypatch.setattr(dealing, "CHUNK_BYTES", 1)  # a surface a message
     array = hasty()
     pump, links = array.driver._pump, array.driver.links.values()
     before = sum(link.data_sent for link in links)

@@ -178,7 +178,7 @@ with launch("2x2x1") as machine:
     def watch(phase, progress):
         if phase == "trace" and progress is not None and progress.in_flight > 0:
             print("tracing", flush=True)
-    print(*machine.pids, machine._array._nursery.pid, machine._array._place.path, flush=True)
+    print(*machine.pids, machine._array._fork_server.pid, machine._array._place.path, flush=True)
     machine.render(sys.argv[1], size=(2000, 2000), samples=16, watch=watch)
 """
 

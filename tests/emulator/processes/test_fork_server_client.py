@@ -1,4 +1,4 @@
-"""The nursery: nodes are launched, their ends reported, and nobody outlives the front end."""
+"""The fork server: nodes are launched, their ends reported, and nobody outlives the front end."""
 
 import os
 import select
@@ -22,7 +22,8 @@ from support.processes import (
 )
 
 from raygrid.emulator.processes.control import LONGEST_MESSAGE, ForkServerChannel
-from raygrid.emulator.processes.fork_server_client import ForkServerClient, Warming
+from raygrid.emulator.processes.fork_server_client import ForkServerClient
+from raygrid.emulator.processes.fork_server_protocol import Warming
 from raygrid.node.errors import ArrayError, LostProcess, ProtocolError
 from raygrid.node.protocol.framing import LENGTH
 
@@ -31,7 +32,7 @@ __all__ = ["gate", "no_leftovers"]  # fixtures
 
 
 def start(warm: str = "warm_quickly", **options) -> ForkServerClient:
-    """A nursery with the stand-in program."""
+    """A fork server with the stand-in program."""
     return ForkServerClient.start(program="support.processes", warm=f"support.processes:{warm}", **options)
 
 
@@ -272,7 +273,7 @@ def test_an_exception_in_the_front_end_leaves_nothing(gate: Gate):
     gate.wait_empty()
 
 
-def test_a_nursery_that_hangs_is_killed_with_its_nodes(gate: Gate):
+def test_a_fork_server_that_hangs_is_killed_with_its_nodes(gate: Gate):
     with start() as fork_server:
         fork_server.launch([gate.config(number) for number in range(3)])
         gate.wait_for(3)
@@ -295,7 +296,7 @@ def test_a_fork_of_the_front_end_does_not_end_its_nodes(gate: Gate):
         gate.wait_for(1)
 
 
-def test_nodes_outlive_the_thread_that_started_the_nursery(gate: Gate):
+def test_nodes_outlive_the_thread_that_started_the_fork_server(gate: Gate):
     started: list[ForkServerClient] = []
     thread = threading.Thread(target=lambda: started.append(start()))
     thread.start()
@@ -306,11 +307,11 @@ def test_nodes_outlive_the_thread_that_started_the_nursery(gate: Gate):
         assert fork_server.alive
 
 
-# --- a nursery that fails ------------------------------------------------------------------------
+# --- a fork server that fails ------------------------------------------------------------------------
 
 
 def test_a_program_that_is_not_there():
-    said = r"exit code 1 before it was warm: raygrid nursery: ModuleNotFoundError: No"
+    said = r"exit code 1 before it was warm: raygrid fork server: ModuleNotFoundError: No"
     with ForkServerClient.start(program="no_such_program") as fork_server, pytest.raises(ArrayError, match=said):
         fork_server.wait_warm(TIMEOUT)
 
@@ -335,7 +336,7 @@ def test_warming_that_takes_too_long_is_told():
         fork_server.wait_warm(0.05)
 
 
-def test_a_front_end_that_died_before_the_nursery_was_warm(pair):
+def test_a_front_end_that_died_before_the_fork_server_was_warm(pair):
     left, control = pair  # somebody still holds the other end
     dead = subprocess.Popen(["true"])
     dead.wait()
@@ -352,14 +353,14 @@ def test_a_python_that_cannot_be_run(monkeypatch):
         start()
 
 
-def test_a_killed_nursery_is_reported_and_takes_its_nodes_along(gate: Gate):
+def test_a_killed_fork_server_is_reported_and_takes_its_nodes_along(gate: Gate):
     with start() as fork_server:
         fork_server.launch([gate.config(number, "wait" if number % 2 else "busy") for number in range(8)])
         gate.wait_for(8)
         fork_server.read_events()
         os.kill(fork_server.pid, signal.SIGKILL)
         gate.wait_empty()
-        wait_readable(fork_server.fileno(), "the end of the nursery")
+        wait_readable(fork_server.fileno(), "the end of the fork server")
         with pytest.raises(LostProcess, match=r"ended by signal SIGKILL: without a word"):
             fork_server.read_events()
         assert not fork_server.alive

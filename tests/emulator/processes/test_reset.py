@@ -16,8 +16,8 @@ from support.processes import no_leftovers, wait_dead, wait_readable
 
 from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.emulator.processes.array import Array
+from raygrid.emulator.topology.coordinates import indices
 from raygrid.emulator.topology.process_stat import process_state
-from raygrid.emulator.topology.topology import indices
 from raygrid.host.render.frame import render_job
 from raygrid.host.render.job import Job, Settings, make_job
 from raygrid.host.scene.load import load_scene
@@ -192,11 +192,13 @@ def test_all_nodes_may_be_dead(array):
     still_right(array)
 
 
-def test_a_lost_nursery_is_told_and_the_array_is_launched_anew(array):
+def test_a_lost_fork_server_is_told_and_the_array_is_launched_anew(array):
     pids = array.pids
     os.kill(array._fork_server.pid, signal.SIGKILL)
     wait_dead(array._fork_server.pid)
-    with pytest.raises(LostProcess, match=r"the nursery \(process \d+\) ended by signal SIGKILL|ended: signal SIGTERM"):
+    with pytest.raises(
+        LostProcess, match=r"the fork server \(process \d+\) ended by signal SIGKILL|ended: signal SIGTERM"
+    ):
         render_job(array.driver, job())
     array.reset()
     wait_dead(*pids)
@@ -297,7 +299,7 @@ def test_words_that_are_no_order_change_nothing(array):
     pids, epoch = array.pids, array.epoch
     for words in RUBBISH:
         for index in indices(SHAPE):
-            assert array._node_processes.lines.send(index, words)
+            assert array._node_processes.control_channels.send(index, words)
     still_right(array)
     array.reset()
     assert (array.pids, array.epoch) == (pids, epoch + 1)

@@ -21,7 +21,7 @@ from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.emulator.simulator import simulator
 from raygrid.emulator.simulator.flood_time import flood
 from raygrid.emulator.simulator.shared_tables import ordered
-from raygrid.emulator.simulator.simulator import BOOKS_BYTES, NODE_BYTES
+from raygrid.emulator.simulator.simulator import CLOCK_BYTES, NODE_BYTES
 from raygrid.emulator.topology import limits
 from raygrid.emulator.topology.limits import Bound
 from raygrid.host.cli.commands.simulate import in_words, summary
@@ -238,8 +238,8 @@ def test_what_is_held_against_memory_is_what_is_taken():
     run = subprocess.run(command, capture_output=True, text=True, timeout=280)
     assert run.returncode == 0, run.stderr
     taken, nodes = int(run.stdout.split()[-1]), 60**3
-    assert taken <= nodes * (NODE_BYTES + 2 * BOOKS_BYTES) + 16_000_000  # packets in flight, tables
-    assert taken >= nodes * 2 * BOOKS_BYTES * 0.5
+    assert taken <= nodes * (NODE_BYTES + 2 * CLOCK_BYTES) + 16_000_000  # packets in flight, tables
+    assert taken >= nodes * 2 * CLOCK_BYTES * 0.5
 
 
 def test_an_array_beyond_memory_is_refused_before_anything_is_worked_out(monkeypatch):
@@ -247,7 +247,7 @@ def test_an_array_beyond_memory_is_refused_before_anything_is_worked_out(monkeyp
         raise AssertionError("it has begun")
 
     job = job_of("tiny.nff", (30, 30, 30), (8, 8))
-    left = 20**3 * (NODE_BYTES + 2 * BOOKS_BYTES) + 8_000_000
+    left = 20**3 * (NODE_BYTES + 2 * CLOCK_BYTES) + 8_000_000
     monkeypatch.setattr(limits, "read_memory", lambda: Bound(left, "the memory available"))
     monkeypatch.setattr(simulator, "holdings", never)
     for options in ({"band": True}, {"around": True}):

@@ -28,8 +28,9 @@ from support.scenes import Scene, mixed_scene, space_of
 from support.space import EVEN_STEP
 from support.surfaces import batch, merge
 
+from raygrid.emulator.driver import dealing
 from raygrid.emulator.driver import driver as driver_module
-from raygrid.emulator.driver.driver import Progress
+from raygrid.emulator.driver.admission import Progress
 from raygrid.emulator.topology.bounds import (
     branches_of,
     growth,
@@ -177,12 +178,12 @@ def test_the_budget_holds_when_homes_are_slow_to_use_it(schedule):
 
 @pytest.mark.usefixtures("slow_births")
 def test_counting_births_and_deaths_of_the_same_wave_would_not_do(monkeypatch):
-    """The plain rule that `driver._quota` replaces breaks the budget, and the watching above sees it."""
+    """The plain rule that `admission.next_quota` replaces breaks the budget, and the watching above sees it."""
 
     def plain(budget: int, now: Progress, before: Progress | None, allowed: int) -> int:
         return max(0, budget - now.in_flight) // max(now.homes_left, 1)
 
-    monkeypatch.setattr(driver_module, "_quota", plain)
+    monkeypatch.setattr(driver_module, "next_quota", plain)
     assert any(most_trees(seed, 10) > 10 for seed in range(12))
 
 
@@ -309,7 +310,7 @@ def test_growth_of_a_frame_is_that_of_its_facts():
 
 def test_the_flood_waits_in_bounded_room(monkeypatch):
     """A node that takes nothing for long: what is under way to it, and waits before it, stays within what is stated."""
-    monkeypatch.setattr(driver_module, "CHUNK_BYTES", 2000)
+    monkeypatch.setattr(dealing, "CHUNK_BYTES", 2000)
     rng = np.random.default_rng(1)
     corners = 0.3 * rng.uniform(-1, 1, (20_000, 9))
     corners[:, 0], corners[:, 3] = -0.46, 0.45  # through all nodes, and all of them enter at the first

@@ -314,7 +314,7 @@ def test_sweeping_what_is_not_there_does_nothing(tmp_path):
     assert sweep(str(tmp_path / "none")) == []
 
 
-def test_a_front_end_killed_together_with_its_nursery_is_swept_after(gate: Gate):
+def test_a_front_end_killed_together_with_its_fork_server_is_swept_after(gate: Gate):
     front_end = FrontEnd(gate.path, "waits")
     gate.wait_for(3)
     os.kill(front_end.fork_server, signal.SIGSTOP)  # it must not clean up in its place
@@ -342,7 +342,7 @@ def test_a_killed_front_end_leaves_neither_process_nor_directory(gate: Gate, how
     assert not Path(front_end.directory).exists()
 
 
-def test_a_front_end_killed_while_the_nursery_compiles_leaves_nothing(gate: Gate):
+def test_a_front_end_killed_while_the_fork_server_compiles_leaves_nothing(gate: Gate):
     front_end = FrontEnd(gate.path, "waits", warm="warm_for_ever")
     assert front_end.process.stdout.readline() == "stuck\n"
     front_end.process.kill()

@@ -18,7 +18,7 @@ from support.render import rendered
 import raygrid
 from raygrid.emulator.driver.samples import NodeSample
 from raygrid.emulator.processes.array import Array
-from raygrid.emulator.topology.topology import indices
+from raygrid.emulator.topology.coordinates import indices
 from raygrid.host.render.frame import render_job
 from raygrid.host.render.job import Settings, make_job
 from raygrid.host.render.session import RenderSession

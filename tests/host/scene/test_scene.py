@@ -224,8 +224,8 @@ def test_invented_lights_come_from_behind_the_camera():
 def test_finishing_invents_what_is_missing_and_says_so():
     builder = builder_with_one_material()
     builder.add(Kind.TRIANGLE, TRIANGLE, 0)
-    scene = finish_scene(builder, Path("dir/x.test"), depth=3)
-    assert (scene.name, scene.depth, len(scene.lights)) == ("x.test", 3, 2)
+    scene = finish_scene(builder, Path("dir/x.test"), highlights=False)
+    assert (scene.name, scene.highlights, len(scene.lights)) == ("x.test", False, 2)
     assert [remark.split(":")[0] for remark in scene.remarks] == ["no camera in the file", "no light in the file"]
 
 

@@ -1,5 +1,5 @@
 """What an array that stays makes of those who clean up behind it, and of what it finds when it starts: removed files are
-made anew, all that it makes is for its user alone, and the nursery is looked after as the nodes are."""
+made anew, all that it makes is for its user alone, and the fork server is looked after as the nodes are."""
 
 import contextlib
 import os
@@ -114,7 +114,7 @@ def test_a_service_whose_lock_another_one_has_ends_and_leaves_the_journal_to_it(
 
 
 def test_a_socket_directory_that_is_removed_costs_one_repair(array, tmp_path):
-    fork_server = nursery_of(array)
+    fork_server = fork_server_of(array)
     command = fork_server.cmdline()
     shutil.rmtree(command[command.index("--directory") + 1])
     check_usable(array, tmp_path)
@@ -123,17 +123,17 @@ def test_a_socket_directory_that_is_removed_costs_one_repair(array, tmp_path):
     assert array.status()["state"] == "ready"
 
 
-# ---- the nursery ----
+# ---- the fork server ----
 
 
-def nursery_of(array):
+def fork_server_of(array):
     children = psutil.Process(array.pid).children()
     (found,) = [child for child in children if "raygrid.emulator.processes.fork_server" in child.cmdline()]
     return found
 
 
-def test_a_stopped_nursery_is_replaced_while_idle(array, tmp_path):
-    faults, fork_server = array.status()["faults"]["count"], nursery_of(array)
+def test_a_stopped_fork_server_is_replaced_while_idle(array, tmp_path):
+    faults, fork_server = array.status()["faults"]["count"], fork_server_of(array)
     node = array.status()["nodes"][1]["pid"]
     fork_server.send_signal(signal.SIGSTOP)
     os.kill(node, signal.SIGKILL)  # of which nobody tells
@@ -146,9 +146,9 @@ def test_a_stopped_nursery_is_replaced_while_idle(array, tmp_path):
     check_usable(array, tmp_path)
 
 
-def test_a_nursery_that_is_stopped_while_a_frame_is_traced_keeps_nobody(array, tmp_path):
+def test_a_fork_server_that_is_stopped_while_a_frame_is_traced_keeps_nobody(array, tmp_path):
     job = array.submit(TINY, output=tmp_path / "a.npy", size=(300, 200), samples=4)
-    fork_server = nursery_of(array)
+    fork_server = fork_server_of(array)
     fork_server.send_signal(signal.SIGSTOP)
     os.kill(array.status()["nodes"][0]["pid"], signal.SIGKILL)
     job.wait()

@@ -135,7 +135,7 @@ def test_without_a_compiler_kernels_are_python(run):
 
 
 def test_the_kernels_of_the_nodes_are_loaded_without_the_compiler():
-    """The nursery's own warm-up, twice, as only the first one may compile."""
+    """The fork server's own warm-up, twice, as only the first one may compile."""
     look = """
 import sys
 from numba.core.base import BaseContext

@@ -17,7 +17,7 @@ from support.cli import here, one_line, warm_kernels
 from support.paths import ROOT
 from support.render import SCENES
 
-from raygrid.emulator.driver.driver import Progress
+from raygrid.emulator.driver.admission import Progress
 from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.host.cli.commands.frames import as_ranges
 from raygrid.host.cli.progress import ProgressReporter

@@ -10,11 +10,13 @@ from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.host.render.animation_jobs import jobs_of
 from raygrid.host.render.frame import render_job
 from raygrid.host.render.job import Settings, make_job
-from raygrid.host.scene.animation.animation import about, after, animation_bounds, motion, moved_point, quaternion
+from raygrid.host.scene.animation.motions import about, after, motion, moved_point
+from raygrid.host.scene.animation.scene_frames import animation_bounds
 from raygrid.host.scene.animation.turntable import turntable
 from raygrid.host.scene.load import load_scene
 from raygrid.node.errors import SceneError
 from raygrid.node.geometry.lattice import HALF
+from raygrid.node.geometry.quaternion import quaternion_of_angles
 from raygrid.node.geometry.rigid_motion import moved_rows, placed
 from raygrid.node.geometry.surfaces import Kind
 
@@ -139,20 +141,20 @@ def in_memory(shape):
 def test_motions_one_after_the_other():
     rng = np.random.default_rng(1)
     for _ in range(20):
-        a = motion(quaternion(rng.uniform(-180, 180, 3)), float(rng.uniform(0.1, 3)), rng.normal(size=3))
-        b = motion(quaternion(rng.uniform(-180, 180, 3)), float(rng.uniform(0.1, 3)), rng.normal(size=3))
+        a = motion(quaternion_of_angles(rng.uniform(-180, 180, 3)), float(rng.uniform(0.1, 3)), rng.normal(size=3))
+        b = motion(quaternion_of_angles(rng.uniform(-180, 180, 3)), float(rng.uniform(0.1, 3)), rng.normal(size=3))
         point = rng.normal(size=3)
         assert np.allclose(moved_point(after(b, a), point), moved_point(b, moved_point(a, point)))
-    assert np.allclose(moved_point(motion(quaternion([90, 0, 0])), [0, 1, 0]), [0, 0, 1])
-    assert np.allclose(moved_point(motion(quaternion([90, 0, 90])), [0, 0, 1]), [1, 0, 0])  # x first, then z
-    assert np.allclose(moved_point(about([1, 2, 3], quaternion([10, 20, 30]), 5.0), [1, 2, 3]), [1, 2, 3])
+    assert np.allclose(moved_point(motion(quaternion_of_angles([90, 0, 0])), [0, 1, 0]), [0, 0, 1])
+    assert np.allclose(moved_point(motion(quaternion_of_angles([90, 0, 90])), [0, 0, 1]), [1, 0, 0])  # x first, then z
+    assert np.allclose(moved_point(about([1, 2, 3], quaternion_of_angles([10, 20, 30]), 5.0), [1, 2, 3]), [1, 2, 3])
 
 
 @pytest.mark.parametrize("kind", list(Kind))
 def test_surfaces_keep_their_shape(kind):
     """Distances grow by the scale, normals turn, and radii keep their sign."""
     rng = np.random.default_rng(2)
-    by = motion(quaternion([10, 200, -70]), 1.7, [0.1, 0.2, -0.4])
+    by = motion(quaternion_of_angles([10, 200, -70]), 1.7, [0.1, 0.2, -0.4])
     columns = {Kind.TRIANGLE: 9, Kind.SMOOTH: 18, Kind.POLYGON: 3, Kind.SPHERE: 4}.get(kind, 8)
     data = rng.normal(size=(5, columns))
     now = moved_rows(kind, data, np.tile(by, (5, 1)))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from raygrid.host.scene.animation.keyframes import make_keyframes, slerp
+from raygrid.host.scene.animation.keyframes import make_keyframes
 from raygrid.node.errors import SceneError
 
 
@@ -47,14 +47,6 @@ def test_smooth_goes_evenly_where_keys_are_even():
     track = make_keyframes([0, 10, 20, 30], [0.0, 1.0, 2.0, 3.0], "smooth")
     assert float(track.at(15)[0]) == pytest.approx(1.5, abs=1e-12)
     assert float(track.at(12)[0]) == pytest.approx(1.2, abs=1e-12)
-
-
-def test_turns_go_the_short_way_at_even_speed():
-    half = np.array([np.cos(np.pi / 4), np.sin(np.pi / 4), 0, 0])  # a quarter about x
-    for other in (half, -half):
-        third = slerp(np.array([1.0, 0, 0, 0]), other, 1 / 3)
-        assert np.allclose(np.abs(third), [np.cos(np.pi / 12), np.sin(np.pi / 12), 0, 0])
-    assert np.allclose(slerp(half, half, 0.3), half)
 
 
 @pytest.mark.parametrize(

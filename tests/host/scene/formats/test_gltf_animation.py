@@ -8,11 +8,9 @@ import json
 import numpy as np
 import pytest
 
-from raygrid.host.scene.animation.animation import moved_point, quaternion
-from raygrid.host.scene.formats.gltf_animation import _quaternion
+from raygrid.host.scene.animation.motions import moved_point
 from raygrid.host.scene.load import load_scene
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry.quaternion import rotation_matrices
 
 
 class Maker:
@@ -137,11 +135,3 @@ def test_wrong_animations_are_told(file, tmp_path, times, values, said):
     file.animate(0, "translation", times, values)
     with pytest.raises(SceneError, match=said):
         file.load(tmp_path)
-
-
-def test_rotation_matrices_become_quaternions():
-    rng = np.random.default_rng(1)
-    for degrees in [*rng.uniform(-180, 180, (200, 3)), [180, 0, 0], [0, 180, 0], [0, 0, 180], [120, 180, 0]]:
-        turn = rotation_matrices(quaternion(degrees)[None])[0]
-        again = rotation_matrices(_quaternion(turn)[None])[0]
-        assert np.allclose(turn, again, atol=1e-12)

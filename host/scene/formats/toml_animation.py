@@ -1,4 +1,4 @@
-"""The moving parts of a scene file: tracks of groups, camera, lights and materials, and the pose in a frame."""
+"""Poses the animated parts of a scene file (groups, camera, lights, materials) by their keyframes."""
 
 from __future__ import annotations
 
@@ -8,49 +8,50 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from raygrid.host.scene.animation.animation import Pose, about, after, motion, quaternion
 from raygrid.host.scene.animation.keyframes import Keyframes, make_keyframes
+from raygrid.host.scene.animation.motions import about, after, motion
 from raygrid.host.scene.cameras import Camera
 from raygrid.host.scene.formats import toml_schema as schema
 from raygrid.host.scene.lights import Table, light_table
+from raygrid.host.scene.pose import Pose
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry import F64, at_rest
+from raygrid.node.geometry import F64, at_rest, quaternion_of_angles
 
 Model = TypeVar("Model", bound=schema.FileTable)
 
 
 @dataclass(frozen=True)
 class Keyed(Generic[Model]):
-    """A table of the file, and the tracks of those of its keys that change."""
+    """A table of the file, and the keyframes of those of its keys that change."""
 
     table: Model
-    tracks: dict[str, Keyframes]
+    keyframes: dict[str, Keyframes]
 
     def at(self, frame: int) -> Model:
         """The table as it is in a frame."""
-        if not self.tracks:
+        if not self.keyframes:
             return self.table
         values: dict[str, Any] = {}
-        for name, track in self.tracks.items():
-            value = track.at(frame).tolist()
+        for name, one in self.keyframes.items():
+            value = one.at(frame).tolist()
             values[name] = value[0] if len(value) == 1 else tuple(value)
         return self.table.model_copy(update=values)
 
 
 def keyed(table: Model, keys: Sequence[schema.Key], way: str) -> Keyed[Model]:
-    """The tracks of a table's keys; a value that no key names stays as the table has it."""
-    tracks = {}
+    """Make keyframes of a table's keys; a value that no key names stays as the table has it."""
+    keyframes = {}
     for name in type(keys[0]).model_fields if keys else ():
         rows = [(key.frame, getattr(key, name)) for key in keys if getattr(key, name) is not None]
         if name != "frame" and rows:
-            tracks[name] = make_keyframes([row[0] for row in rows], [row[1] for row in rows], way)
-    return Keyed(table, tracks)
+            keyframes[name] = make_keyframes([row[0] for row in rows], [row[1] for row in rows], way)
+    return Keyed(table, keyframes)
 
 
 @dataclass(frozen=True)
 class SceneAnimation:
-    """Everything that moves.
+    """Animates everything that moves.
 
     groups     in the order of their names
     parents    of each group, its number or -1
@@ -72,27 +73,26 @@ class SceneAnimation:
     make_material: Callable[[schema.Material], Table]
 
     def pose(self, frame: int) -> Pose:
-        """Where everything is. Raises SceneError for a camera or light that cannot be."""
-        motions: list[F64 | None] = [None] * len(self.groups)
-        for group in range(len(self.groups)):
-            self._motion(group, frame, motions)
+        """Pose everything. Raises SceneError for a camera or light that cannot be."""
+        known: dict[int, F64] = {}
+        motions = [self._motion(group, frame, known) for group in range(len(self.groups))]
         scene = self.scene
         camera = scene.camera if self.camera is None else self.make_camera(self.camera.at(frame))
         lights, materials = scene.lights, scene.materials
-        if any(light.tracks for light in self.lights):
+        if any(light.keyframes for light in self.lights):
             lights = light_table([self.first_lights, *(self._light(light, frame) for light in self.lights)])
         if self.materials:
             materials = materials.copy()
             for row, material in self.materials:
                 materials[row : row + 1] = self.make_material(material.at(frame))
-        return Pose(np.stack(motions) if motions else at_rest(0), camera, lights, materials)  # type: ignore[arg-type]
+        return Pose(np.stack(motions) if motions else at_rest(0), camera, lights, materials)
 
-    def _motion(self, group: int, frame: int, known: list[F64 | None]) -> F64:
+    def _motion(self, group: int, frame: int, known: dict[int, F64]) -> F64:
         """A group's whole motion: its own, then its parent's."""
-        found = known[group]
+        found = known.get(group)
         if found is None:
             m = self.groups[group].at(frame)
-            own = about(self.pivots[group], quaternion(m.rotate), m.scale)
+            own = about(self.pivots[group], quaternion_of_angles(m.rotate), m.scale)
             found = after(motion(shift=m.translate), own)
             if self.parents[group] >= 0:
                 found = after(self._motion(self.parents[group], frame, known), found)
