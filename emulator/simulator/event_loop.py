@@ -36,25 +36,18 @@ from raygrid.node.protocol import (
     put_pixel,
 )
 from raygrid.node.timed import (
-    FREE,
     HOPS_AT,
-    LAST_PRIMARY,
     MOST_HOPS,
-    NEXT_PRIMARY,
     PACKET,
-    PACKETS_WAITING,
     RECORD_BYTES,
     RECORD_WORDS,
     TICK,
-    WAKE,
-    WAKE_AFTER,
-    WAKE_BEFORE,
     ServiceClock,
     arrival,
     decides,
-    gather,
     give_back,
     put,
+    queue_arrivals,
     serve,
     spawned,
     take,
@@ -109,7 +102,7 @@ class Watch(NamedTuple):
 class PrimaryOrder(NamedTuple):
     """What nodes emit when no packet waits: rays of samples, or pixel packets.
 
-    samples  uint32 (n,), sorted by node; node k has rows NEXT_PRIMARY to LAST_PRIMARY - 1
+    samples  uint32 (n,), sorted by node; node k has rows `next_primary` to `last_primary` - 1
     pixels   whether they are pixels
     """
 
@@ -142,12 +135,12 @@ class Simulation(NamedTuple):
 @part
 def _enter(wheel, nodes, k, tick):
     """Put node k, which has no place in the wheel, into the stretch of `tick`."""
-    nodes[k, WAKE] = tick
+    nodes[k]["wake"] = tick
     stretch = min(tick >> wheel.shift, wheel.state[0]["now"] + len(wheel.firsts) - 1) & (len(wheel.firsts) - 1)
     after = wheel.firsts[stretch]
-    nodes[k, WAKE_BEFORE], nodes[k, WAKE_AFTER] = -1 - stretch, after
+    nodes[k]["wake_before"], nodes[k]["wake_after"] = -1 - stretch, after
     if after >= 0:
-        nodes[after, WAKE_BEFORE] = k
+        nodes[after]["wake_before"] = k
     wheel.firsts[stretch] = k
     wheel.state[0]["in_wheel"] += 1
 
@@ -155,14 +148,14 @@ def _enter(wheel, nodes, k, tick):
 @part
 def _leave(wheel, nodes, k):
     """Take node k out of the wheel."""
-    before, after = nodes[k, WAKE_BEFORE], nodes[k, WAKE_AFTER]
+    before, after = nodes[k]["wake_before"], nodes[k]["wake_after"]
     if before >= 0:
-        nodes[before, WAKE_AFTER] = after
+        nodes[before]["wake_after"] = after
     else:
         wheel.firsts[-1 - before] = after
     if after >= 0:
-        nodes[after, WAKE_BEFORE] = before
-    nodes[k, WAKE] = -1
+        nodes[after]["wake_before"] = before
+    nodes[k]["wake"] = -1
     wheel.state[0]["in_wheel"] -= 1
 
 
@@ -170,12 +163,12 @@ def _leave(wheel, nodes, k):
 def _wake(sim, k, tick):
     """A packet arrives at node k at `tick`."""
     wheel, timed = sim.wheel, sim.timed
-    wake = timed.nodes[k, WAKE]
+    wake = timed.nodes[k]["wake"]
     if wake < 0:
-        _enter(wheel, timed.nodes, k, max(tick, timed.nodes[k, FREE]))
-    elif tick < wake and wake > timed.nodes[k, FREE]:
+        _enter(wheel, timed.nodes, k, max(tick, timed.nodes[k]["free"]))
+    elif tick < wake and wake > timed.nodes[k]["free"]:
         _leave(wheel, timed.nodes, k)
-        _enter(wheel, timed.nodes, k, max(tick, timed.nodes[k, FREE]))
+        _enter(wheel, timed.nodes, k, max(tick, timed.nodes[k]["free"]))
 
 
 @part
@@ -236,8 +229,8 @@ def held_by(surfaces, first, last):
 def _spawn_next(sim, k, tick, cell):
     """The next ray or pixel packet of a node."""
     timed, frame, pixels, scratch, prices = sim.timed, sim.frame, sim.pixels, sim.scratch, sim.prices
-    number = np.int64(sim.primaries.samples[timed.nodes[k, NEXT_PRIMARY]])
-    timed.nodes[k, NEXT_PRIMARY] += 1
+    number = np.int64(sim.primaries.samples[timed.nodes[k]["next_primary"]])
+    timed.nodes[k]["next_primary"] += 1
     if sim.primaries.pixels:
         sums = (pixels.sums[number, 0], pixels.sums[number, 1], pixels.sums[number, 2])
         put_pixel(scratch, 0, number, sums, frame.samples & 0xFFFF)
@@ -296,7 +289,7 @@ def _serve_next(sim, k, tick, cell, surfaces):
         watch.hops[RETURN, 0] += counts[DIED + RETURN]
     if arrived < tick:
         _count_time(sim, WAITS, arrived, tick)
-    _count_time(sim, SERVICES, tick, timed.nodes[k, FREE])
+    _count_time(sim, SERVICES, tick, timed.nodes[k]["free"])
     _deliver(sim, k, done, hops, not dead)
 
 
@@ -313,21 +306,21 @@ def run(sim, most):
         wheel.state[0]["now"] = stretch
         k = wheel.firsts[stretch & (len(wheel.firsts) - 1)]
         end = (stretch + 1) << wheel.shift
-        tick = timed.nodes[k, WAKE]
+        tick = timed.nodes[k]["wake"]
         if tick < end and (timed.spare[1] < need or wheel.state[0]["events"] >= stop):
             return NO_ROOM if timed.spare[1] < need else TURN
         _leave(wheel, timed.nodes, k)
         cell = cell_of(sim.space, k)
         while tick < end and timed.spare[1] >= need:
             wheel.state[0]["events"] += 1
-            gather(timed, k, tick)
-            if timed.nodes[k, PACKETS_WAITING] > 0:
+            queue_arrivals(timed, k, tick)
+            if timed.nodes[k]["waiting"] > 0:
                 here = held_by(sim.surfaces, sim.roots[k, 0], sim.roots[k, 1])
                 _serve_next(sim, k, tick, cell, here)
             else:
                 _spawn_next(sim, k, tick, cell)
-                _count_time(sim, SERVICES, tick, timed.nodes[k, FREE])
-            tick = decides(timed, k, timed.nodes[k, NEXT_PRIMARY] < timed.nodes[k, LAST_PRIMARY])
+                _count_time(sim, SERVICES, tick, timed.nodes[k]["free"])
+            tick = decides(timed, k, timed.nodes[k]["next_primary"] < timed.nodes[k]["last_primary"])
         if tick < NEVER_TICK:
             _enter(wheel, timed.nodes, k, tick)
     return DONE
@@ -337,8 +330,8 @@ def run(sim, most):
 def enter_all(timed, wheel):
     """Put every node that has something to emit into the wheel."""
     for k in range(len(timed.nodes)):
-        if timed.nodes[k, NEXT_PRIMARY] < timed.nodes[k, LAST_PRIMARY]:
-            _enter(wheel, timed.nodes, k, timed.nodes[k, FREE])
+        if timed.nodes[k]["next_primary"] < timed.nodes[k]["last_primary"]:
+            _enter(wheel, timed.nodes, k, timed.nodes[k]["free"])
 
 
 assert PRIMARY < KINDS

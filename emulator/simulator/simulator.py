@@ -33,17 +33,8 @@ from raygrid.node.errors import ArrayError, TooLarge
 from raygrid.node.geometry import DEPTH, Space, Surfaces, SurfaceSet
 from raygrid.node.protocol import BORN, COUNTS, DIED, KINDS, SIZE, Frame, Prices
 from raygrid.node.timed import (
-    BUSY,
-    CLOCK_FIELDS,
-    ENDED,
-    LAST_PRIMARY,
-    LIST_TICKS,
-    NEXT_PRIMARY,
-    PACKETS_SENT,
-    PACKETS_SERVED,
+    CLOCK_RECORD,
     RECORD_BYTES,
-    TRACE,
-    WAITED,
     ServiceClock,
     grown,
     make_service_clock,
@@ -53,7 +44,7 @@ from raygrid.node.tracing import Pixels, make_outputs
 Long = NDArray[np.int64]
 TURN_EVENTS = 1 << 20  # between two looks at signals and progress
 FIRST_ROOM = 1 << 16  # packets; doubled whenever they do not suffice
-CLOCK_BYTES = CLOCK_FIELDS * 8  # of a node in a phase that runs, or is kept
+CLOCK_BYTES = CLOCK_RECORD.itemsize  # of a node in a phase that runs, or is kept
 NODE_BYTES = 128  # of a node that holds nothing, beside its clock: who emits and holds what, the flood (measured: 96)
 SAMPLE_BYTES = 16  # of a sample while the order of primaries is worked out
 PIXEL_BYTES = 160  # of a pixel: sums of the phase and of the picture, and the order of the read-out (measured: 143)
@@ -67,7 +58,7 @@ class Phase:
     """What happened in one phase, which begins at tick 0 with empty queues.
 
     ticks      when the last service ended
-    nodes      int64 (n, node.timed.CLOCK_FIELDS), the clock of every node, with what it counted
+    nodes      node.timed.CLOCK_RECORD (n,), the clock of every node, with what it counted
     total      int64 (COUNTS,), counts of all steps
     hops       int64 (KINDS, HOPS): packets that died after so many hops
     levels     int64 (3, BINS): packets that wait, nodes that serve, packets on links, at the begin of each bin
@@ -76,7 +67,7 @@ class Phase:
     """
 
     ticks: int
-    nodes: Long
+    nodes: NDArray[np.void]
     total: Long
     hops: Long
     levels: Long
@@ -89,15 +80,15 @@ class Phase:
     @property
     def trace(self) -> str:
         """A digest of every service of every node: its packet, port, begin and end. Equal for equal runs."""
-        return digest_of(self.nodes[:, TRACE])
+        return digest_of(self.nodes["trace"])
 
-    def column(self, field_number: int) -> Long:
+    def column(self, field: str) -> Long:
         """A field of the clocks of all nodes, int64 (n,)."""
-        return self.nodes[:, field_number]
+        return self.nodes[field]
 
     def without_clocks(self) -> Phase:
         """The same, but that what each node did is forgotten, which is nearly all that a phase takes."""
-        return replace(self, nodes=np.zeros((0, CLOCK_FIELDS), np.int64))
+        return replace(self, nodes=np.zeros(0, CLOCK_RECORD))
 
 
 def digest_of(traces: Long) -> str:
@@ -205,8 +196,8 @@ def _run(
     """Run one phase to its end."""
     begun = compile_clock.now()
     timed = make_service_clock(model.nodes, FIRST_ROOM)
-    timed.nodes[:, LIST_TICKS] = list_ticks
-    timed.nodes[:, NEXT_PRIMARY], timed.nodes[:, LAST_PRIMARY] = borders[:-1], borders[1:]
+    timed.nodes["list_ticks"] = list_ticks
+    timed.nodes["next_primary"], timed.nodes["last_primary"] = borders[:-1], borders[1:]
     shift = prices.lookahead.bit_length() - 1
     wheel = Wheel(np.full(STRETCHES, -1, np.int64), shift, np.zeros(1, LOOP_STATE))
     watch = Watch(np.zeros(COUNTS, np.int64), np.zeros((KINDS, HOPS), np.int64), np.zeros((3, BINS), np.int64))
@@ -228,7 +219,7 @@ def _run(
             tell(what, int(state["events"]), int(watch.total[DIED : DIED + KINDS].sum()))
     timed = simulation.timed
     return Phase(
-        int(timed.nodes[:, ENDED].max()),
+        int(timed.nodes["ended"].max()),
         timed.nodes,
         watch.total,
         watch.hops,
@@ -257,4 +248,4 @@ def list_ticks_of(held: Long, tests: Long) -> Long:
     return np.asarray(held @ tests, np.int64)
 
 
-__all__ = ["BUSY", "PACKETS_SENT", "PACKETS_SERVED", "WAITED", "Model", "Phase", "make_model", "read_out", "trace"]
+__all__ = ["Model", "Phase", "make_model", "read_out", "trace"]

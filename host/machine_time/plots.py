@@ -14,7 +14,6 @@ from raygrid.emulator.simulator import LINKS, SERVICES, WAITS
 from raygrid.host.image.outputs import write_whole
 from raygrid.node.errors import OutputError
 from raygrid.node.geometry import PORTS
-from raygrid.node.timed import BUSY, PACKETS_SENT
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,9 +45,9 @@ def save_figure(figure: Figure, path: str | Path) -> None:
 def save_plots(folder: str | Path, done: Simulated) -> list[str]:
     """Write FILES into a folder that is there; returns their paths. Raises OutputError."""
     phase, shape = done.frames["middle"], done.job.space.shape
-    busy = phase.column(BUSY) / max(phase.ticks, 1)
+    busy = phase.column("busy") / max(phase.ticks, 1)
     prices = done.cost.prices("middle", done.search)
-    sent = phase.nodes[:, PACKETS_SENT : PACKETS_SENT + PORTS].max(axis=1)
+    sent = phase.nodes["sent"][:, :PORTS].max(axis=1)
     what = f"{done.job.scene.name}, {'x'.join(map(str, shape))}, {done.cost.name} ({done.search})"
     figures = (
         _layers(busy, shape, f"busy share of each processor: {what}", "busy time / frame time"),

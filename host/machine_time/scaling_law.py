@@ -29,7 +29,6 @@ from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import OutputError
 from raygrid.node.geometry import PORTS
 from raygrid.node.protocol import BORN, PRIMARY, SENT
-from raygrid.node.timed import BUSY
 
 F64 = NDArray[np.float64]
 KINDS = {"square": 2, "cubic": 3}  # and how many edges its processors have
@@ -237,7 +236,7 @@ def _point(
     job = still_job(scene, shape, Settings(size=size, **{"split": "uniform", **settings}))
     model = make_model(job.space, job.surfaces, job.frame, search)
     phase, _ = trace(model, cost.prices("middle", search), cost.list_ticks("middle", search, model.held))
-    busy = phase.column(BUSY) / max(phase.ticks, 1)
+    busy = phase.column("busy") / max(phase.ticks, 1)
     rays, hops = int(phase.total[BORN + PRIMARY]), int(phase.total[SENT : SENT + PORTS].sum())
     seconds = cost.seconds(phase.ticks)
     return Point(scene.name, kind, n, shape, rays, phase.ticks, seconds, float(busy.mean()), float(busy.max()), hops)

@@ -17,7 +17,6 @@ from raygrid.host.machine_time.cost_models import LEVELS
 from raygrid.host.machine_time.simulate import Simulated
 from raygrid.node.geometry import PORTS, SURFACE_KINDS, Kind
 from raygrid.node.protocol import BORN, BOXES, DIED, HITS, SENT, TESTS, WALKS, PacketKind
-from raygrid.node.timed import BUSY, ENDED, MOST_WAITING, PACKETS_SENT, PACKETS_SERVED, WAITED, WALKED
 from raygrid.node.tracing import UNIT
 
 VERSION = 1
@@ -58,12 +57,12 @@ def make_stats(done: Simulated) -> Stats:
         "total": _total(phase, done),
         "shares": _shares(done),
         "queue": {
-            "most": int(phase.column(MOST_WAITING).max()),
-            "mean": float(phase.column(WAITED).sum() / max(phase.ticks, 1) / len(phase.nodes)),
-            "mean_wait_ticks": float(phase.column(WAITED).sum() / max(int(phase.column(PACKETS_SERVED).sum()), 1)),
+            "most": int(phase.column("most_waiting").max()),
+            "mean": float(phase.column("waited").sum() / max(phase.ticks, 1) / len(phase.nodes)),
+            "mean_wait_ticks": float(phase.column("waited").sum() / max(int(phase.column("served").sum()), 1)),
         },
         "busiest": _busiest(done),
-        "balance": float(phase.column(BUSY).max() / max(phase.column(BUSY).mean(), 1e-9)),
+        "balance": float(phase.column("busy").max() / max(phase.column("busy").mean(), 1e-9)),
         "hops": _hops(phase),
         "links": _links(done),
         "over_time": _over_time(phase),
@@ -87,7 +86,7 @@ def _total(phase: Phase, done: Simulated) -> Stats:
     counts = phase.total
     tests = counts[TESTS : TESTS + len(Kind)]
     if done.search == "list":  # every walk tests all that the node holds
-        tests = phase.column(WALKED) @ done.model.held
+        tests = phase.column("walked") @ done.model.held
     return {
         "born": {kind.name.lower(): int(counts[BORN + kind]) for kind in PacketKind},
         "died": {kind.name.lower(): int(counts[DIED + kind]) for kind in PacketKind},
@@ -104,8 +103,8 @@ def _shares(done: Simulated) -> dict[str, float]:
     phase = done.frames["middle"]
     prices = done.cost.prices("middle", done.search)
     whole = max(phase.ticks, 1) * len(phase.nodes)
-    moving = int(phase.nodes[:, PACKETS_SENT : PACKETS_SENT + PORTS].sum()) * prices.transmit
-    busy = int(phase.column(BUSY).sum())
+    moving = int(phase.nodes["sent"][:, :PORTS].sum()) * prices.transmit
+    busy = int(phase.column("busy").sum())
     by_processor = moving if prices.by_processor else 0
     links = max(links_of(done), 1)
     return {
@@ -125,7 +124,7 @@ def links_of(done: Simulated) -> int:
 def _busiest(done: Simulated) -> Stats:
     """The node that works longest: its place, ticks, and the part of the frame that these are."""
     phase = done.frames["middle"]
-    busy = phase.column(BUSY)
+    busy = phase.column("busy")
     node = int(busy.argmax())
     return {"node": _index(done, node), "ticks": int(busy[node]), "share": float(busy[node] / max(phase.ticks, 1))}
 
@@ -141,7 +140,7 @@ def _hops(phase: Phase) -> dict[str, list[int]]:
 
 def _links(done: Simulated) -> Stats:
     """Packets on the busiest link, and of all links of each port together."""
-    sent = done.frames["middle"].nodes[:, PACKETS_SENT : PACKETS_SENT + PORTS]
+    sent = done.frames["middle"].nodes["sent"][:, :PORTS]
     node, port = np.unravel_index(int(sent.argmax()), sent.shape)
     return {
         "busiest": {"node": _index(done, int(node)), "port": PORT_NAMES[int(port)], "packets": int(sent.max())},
@@ -177,13 +176,13 @@ def records(done: Simulated) -> Iterator[dict[str, int]]:
             **dict(zip("xyz", index, strict=True)),
             "surfaces": int(done.model.held[node].sum()),
             "samples": int(done.model.borders[node + 1] - done.model.borders[node]),
-            "served": int(row[PACKETS_SERVED]),
-            "walks": int(row[WALKED]),
-            "busy_ticks": int(row[BUSY]),
-            "waited_ticks": int(row[WAITED]),
-            "most_waiting": int(row[MOST_WAITING]),
-            "ended_tick": int(row[ENDED]),
-            **{f"sent{name}": int(row[PACKETS_SENT + port]) for port, name in enumerate(PORT_NAMES)},
+            "served": int(row["served"]),
+            "walks": int(row["walked"]),
+            "busy_ticks": int(row["busy"]),
+            "waited_ticks": int(row["waited"]),
+            "most_waiting": int(row["most_waiting"]),
+            "ended_tick": int(row["ended"]),
+            **{f"sent{name}": int(row["sent"][port]) for port, name in enumerate(PORT_NAMES)},
         }
 
 

@@ -1,4 +1,4 @@
-"""Holds space and surfaces: the lattice, the walk over cells, surfaces and their motions, hits, the hierarchy, the flood's tree.
+"""Holds space and surfaces: the lattice, the walk over cells, surfaces and motions, hits, the hierarchy, the spanning tree.
 
 What it gives to other layers is listed in `__init__.pyi`; each name is loaded when it is first used.
 """

@@ -1,4 +1,4 @@
-"""The bounding volume hierarchy of one node: eight-wide, collapsed from a binary one built by binned SAH.
+"""Builds the bounding volume hierarchy of one node: eight-wide, collapsed from a binary one built by binned SAH.
 
 Layout. A node of the hierarchy is 64 words of 32 bits, four cache lines, and holds the boxes of up to eight
 children and where they are. The same memory is seen as float32 (n, 64) and uint32 (n, 64):
@@ -22,7 +22,7 @@ The boxes only save work: whatever the hierarchy, the same hits must be found (l
 widened by INFLATE, more than all roundings of the binary32 slab test together can make it err: a box
 edge, an origin and their difference are each off by at most 2^-24 of numbers below 2, the product with
 the rounded inverse by 2^-23 of itself, so the test errs by less than 5e-7 of a position.
-`lanes.LEAVE_LATER` covers the rounding of times.
+`bvh_simd.LEAVE_LATER` covers the rounding of times.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A hierarchy made to fit again after its surfaces have moved: the same tree, new boxes.
+"""Refits a hierarchy after its surfaces have moved: the same tree, new boxes.
 
 A tree whose surfaces have moved apart has large boxes that overlap, and rays open more of them. So the expected cost of a
 ray (`node.geometry.bvh`) is worked out as well, and whoever asked builds a new tree when it has grown too much.
@@ -74,7 +74,7 @@ def _expected(floats, words):
 
 
 def expected_cost(floats: NDArray[np.float32]) -> float:
-    """What a ray that meets the whole costs on average, in tests of a surface; `floats` as of `hierarchy.build`."""
+    """Average cost of a ray that meets the whole, in tests of a surface; `floats` as of `bvh.build`."""
     return float(_expected(floats, floats.view(np.uint32)))
 
 

@@ -1,4 +1,4 @@
-"""Eight boxes against one ray at once: the inner loop of every walk through a hierarchy, written as vectors.
+"""Tests eight boxes against one ray at once: the inner loop of every traversal, written as vectors.
 
 numba cannot say "a vector of eight binary32", and what LLVM makes of a loop over eight lanes changes with
 every line around it. So this one step is given to LLVM as vectors. It is compiled for whatever the
@@ -13,11 +13,26 @@ Nothing here is checked: `at` must be the first word of a node, and `keys` must 
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
+
+if TYPE_CHECKING:
+    from raygrid.node.jit.code_types import (
+        BaseContext,
+        Intrinsic,
+        IRBuilder,
+        Signature,
+        Type,
+        Typed,
+        TypingContext,
+        Value,
+        Values,
+    )
+
 
 WIDE = 8  # boxes in a node of the hierarchy
 CHILD_COLUMN = 6 * WIDE  # the word of a node at which its children are named
@@ -30,32 +45,36 @@ _INTS = ir.VectorType(_INT, WIDE)
 _LONGS = ir.VectorType(_LONG, WIDE)
 
 
-def _splat(builder: Any, value: Any) -> Any:
-    """The same binary32 in every lane."""
+def _splat(builder: IRBuilder, value: Value) -> Value:
+    """Put the same binary32 into every lane."""
     nothing = ir.Constant(_FLOATS, ir.Undefined)
     first = builder.insert_element(nothing, value, ir.Constant(_INT, 0))
     return builder.shuffle_vector(first, nothing, ir.Constant(_INTS, [0] * WIDE))
 
 
-def _choose(builder: Any, operator: str, a: Any, b: Any) -> Any:
+def _choose(builder: IRBuilder, operator: str, a: Value, b: Value) -> Value:
     """Lane by lane a if `a operator b`, else b: one vmaxps or vminps."""
     return builder.select(builder.fcmp_ordered(operator, a, b), a, b)
 
 
-def _address(context: Any, builder: Any, kind: Any, array: Any, index: Any, vector: ir.VectorType) -> Any:
-    """Where eight numbers of an array begin; the array is seen as flat."""
+def _address(
+    context: BaseContext, builder: IRBuilder, kind: Type, array: Value, index: Value, vector: ir.VectorType
+) -> Value:
+    """Address of eight numbers of an array, which is seen as flat."""
     data = context.make_array(kind)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [index]), vector.as_pointer())
 
 
-def _pack(builder: Any, values: Any, chosen: Any) -> Any:
+def _pack(builder: IRBuilder, values: Value, chosen: Value) -> Value:
     """The chosen lanes in front, in order; one instruction with AVX-512."""
     name = f"llvm.experimental.vector.compress.v{WIDE}i64"
     compress = cgutils.get_or_insert_function(builder.module, ir.FunctionType(_LONGS, [_LONGS, _BITS, _LONGS]), name)
     return builder.call(compress, [values, chosen, ir.Constant(_LONGS, ir.Undefined)])
 
 
-def _times(builder: Any, plane: Any, near: Any, ray: Any, low: Any, high: Any) -> tuple[Any, Any]:
+def _times(
+    builder: IRBuilder, plane: Callable[[Value], Value], near: Value, ray: Value, low: Value, high: Value
+) -> tuple[Value, Value]:
     """(when the ray enters, when it leaves) each box, at least low and at most high."""
     enter, leave = _splat(builder, low), _splat(builder, high)
     for axis in range(3):
@@ -70,8 +89,16 @@ def _times(builder: Any, plane: Any, near: Any, ray: Any, low: Any, high: Any) -
 
 
 def _push_boxes(
-    typingctx: Any, floats: Any, at: Any, near: Any, ray: Any, low: Any, high: Any, keys: Any, top: Any
-) -> Any:
+    typingctx: TypingContext,
+    floats: Type,
+    at: Type,
+    near: Type,
+    ray: Type,
+    low: Type,
+    high: Type,
+    keys: Type,
+    top: Type,
+) -> Typed:
     """Put a key on the stack `keys` for each box of a node that the ray meets; returns how many.
 
     floats     float32 array, the nodes; at  int64, first word of the node
@@ -82,10 +109,10 @@ def _push_boxes(
     A key is time << 32 | child: the time is a positive binary32, so keys are in the order of their times.
     """
 
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+    def codegen(context: BaseContext, builder: IRBuilder, signature: Signature, args: Values) -> Value:
         floats, at, near, ray, low, high, keys, top = args
 
-        def load(offset: Any, vector: ir.VectorType) -> Any:
+        def load(offset: Value, vector: ir.VectorType) -> Value:
             place = builder.add(at, offset)
             return builder.load(_address(context, builder, signature.args[0], floats, place, vector), align=4)
 
@@ -105,10 +132,10 @@ def _push_boxes(
     return types.int64(*arguments), codegen
 
 
-def _copy_keys(typingctx: Any, source: Any, at: Any, target: Any, to: Any) -> Any:
+def _copy_keys(typingctx: TypingContext, source: Type, at: Type, target: Type, to: Type) -> Typed:
     """Copy WIDE keys between two int64 arrays, at once. Nothing is checked."""
 
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+    def codegen(context: BaseContext, builder: IRBuilder, signature: Signature, args: Values) -> Value:
         places = [_address(context, builder, signature.args[k], args[k], args[k + 1], _LONGS) for k in (0, 2)]
         builder.store(builder.load(places[0], align=8), places[1], align=8)
         return context.get_dummy_value()
@@ -117,5 +144,5 @@ def _copy_keys(typingctx: Any, source: Any, at: Any, target: Any, to: Any) -> An
 
 
 # kernels call them without the first argument
-push_boxes: Any = intrinsic(_push_boxes)
-copy_keys: Any = intrinsic(_copy_keys)
+push_boxes: Intrinsic = intrinsic(_push_boxes)
+copy_keys: Intrinsic = intrinsic(_copy_keys)

@@ -1,4 +1,4 @@
-"""The ray walk: which cell a ray crosses next, and which hits belong to this cell (DESIGN section 4).
+"""Walks a ray from cell to cell: finds the next one, and the times between which hits belong to this one (DESIGN section 4).
 
 Both nodes at a face compute the time of its plane from the same numbers: (plane - origin) * inverse
 direction. Subtraction and multiplication round monotonically, so along a ray these times never run
@@ -12,7 +12,7 @@ from raygrid.node.jit.decorators import part
 # ports, in the order -x +x -y +y -z +z, then what is not a neighbour
 PORTS = 6
 HOST = 6  # of a corner node: the way to the host
-SELF = 7  # arrival port of what was born here; also the output of shadow rays that start here
+SELF = 7  # arrival port of what was spawned here; also the output of shadow rays that start here
 SELF_RAYS = 8  # output of other rays that start here
 OUTPUTS = 9
 NO_PORT = -1
@@ -48,7 +48,7 @@ def towards_start(cell, origin):
 
 @part
 def is_walking(cell, origin, port):
-    """Whether a ray that came in by `port` has left the cell of its origin behind on that axis.
+    """Tell whether a ray that came in by `port` has left the cell of its origin behind on that axis.
 
     If its hop brought it nearer to that cell instead, it is still on its way to its start.
     """
@@ -96,7 +96,7 @@ def passage(cell, at, inv):
 
 @part
 def leaves_array(index, shape, port):
-    """Whether there is no neighbour behind this port."""
+    """Tell whether there is no neighbour behind this port."""
     axis = port >> 1
     if port & 1:
         return index[axis] + 1 >= shape[axis]

@@ -1,4 +1,4 @@
-"""Where a ray meets one surface. Every function is arithmetic on one ray and one surface, in binary64.
+"""Intersects a ray with one surface. Every function is arithmetic on one ray and one surface, in binary64.
 
 Each returns the ray parameter t, or MISS. A hit is accepted only so that its computed point lies within
 `lattice.SLACK` of the surface: `node.geometry.overlap` relies on that (retention is implied by acceptance), and
@@ -117,7 +117,7 @@ def cone(data, row, o, d, lower):
 
 @part
 def _on_cone(data, row, d, t, lower, y, s, mx, my, mz, dd):
-    """Whether the point m + s d at height y is a point of the frustum that this ray sees."""
+    """Tell whether the point m + s d at height y is a point of the frustum that this ray sees."""
     if not (t >= lower and t < 1e6 and y >= 0.0 and y <= data[row, CONE_HEIGHT]):
         return False
     x, z = mx + s * d[0] - y * data[row, CONE_AXIS], mz + s * d[2] - y * data[row, CONE_AXIS + 2]
@@ -144,7 +144,7 @@ def plane(planes, row, o, d):
 
 @part
 def in_polygon(planes, headers, bins, edges, row, o, d, t):
-    """Whether the point at t lies in the polygon: an odd number of edges to its right, in the projection
+    """Tell whether the point at t lies in the polygon: an odd number of edges to its right, in the projection
     along the largest component of the normal. Each edge is stored from its lower end to its upper one,
     and counts for low <= y < high, so a point on an edge that two polygons share lies in one of them.
 

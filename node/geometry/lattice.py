@@ -1,4 +1,4 @@
-"""Machine coordinates, the lattice, and the planes that cut the world box into cells.
+"""Defines machine coordinates, the lattice, and the planes that cut the world box into cells.
 
 The front end moves the scene so that its world box is centred on the origin and scales it by a power of
 two so that the longest half edge lies in [0.5, 1). All tolerances are therefore plain numbers. The box
@@ -74,7 +74,7 @@ def nearest(x, step):
 
 @part
 def _worth(speed, step):
-    """Of having an axis' coordinate on the lattice: the more, the coarser its lattice, if the ray is not slow on it."""
+    """Worth of an axis' coordinate on the lattice: the more, the coarser its lattice, if the ray is not slow on it."""
     return abs(speed) * step if abs(speed) >= SLOW else 0.0
 
 
@@ -84,8 +84,8 @@ def beside_ray(step, p, d, tries):
 
     Rounding p would put the ray up to 0.87 steps aside, but a step along itself changes nothing of what it sees. So of
     the next `tries` points (at most MOST_TRIES) at which one coordinate lies on the lattice, the one is taken whose
-    others miss it least. This is the definition; `node.tracing.spawn` and `node.tracing.primary_rays` work it
-    out for eight rays at once.
+    others miss it least. This is the definition; `node.tracing.spawn` and `node.tracing.primary_rays` work it out for
+    eight rays at once.
     """
     x, y, z = p[0] / step[0], p[1] / step[1], p[2] / step[2]
     u, v, w = d[0] / step[0], d[1] / step[1], d[2] / step[2]
@@ -115,7 +115,7 @@ def beside_ray(step, p, d, tries):
 
 @part
 def cell_index(planes, axis, cells, k):
-    """Which of the axis' cells holds lattice coordinate k (bisection)."""
+    """Find the cell of an axis that holds lattice coordinate k (bisection)."""
     low, high = 0, cells
     while high - low > 1:
         middle = (low + high) >> 1
@@ -153,7 +153,7 @@ def make_cell(space: Space, index: tuple[int, int, int]) -> Cell:
 
 @dataclass(frozen=True)
 class World:
-    """How scene coordinates become machine coordinates: (x - centre) * scale, scale a power of two."""
+    """Maps scene coordinates to machine coordinates: (x - centre) * scale, scale a power of two."""
 
     centre: NDArray[np.float64]
     scale: float
@@ -185,7 +185,7 @@ class World:
 
 
 def world_around(bounds: NDArray[np.float64]) -> World:
-    """The world of a scene (or shot) whose surfaces lie in this box, float64 (2, 3).
+    """The world of a scene (or animation) whose surfaces lie in this box, float64 (2, 3).
 
     Every surface lies strictly inside; an axis along which the scene is flat gets a small thickness.
     Raises SceneError for a box that is not finite, has no size, or is too small for its place in space.

@@ -1,4 +1,4 @@
-"""Which surfaces touch a box: what a cell retains, and where a description is handed on.
+"""Finds the surfaces that touch a box: those that a cell retains, and the ways by which a description is handed on.
 
 A hit is accepted only if its computed point lies within SLACK of the surface (`node.geometry.intersect`) and it
 belongs to the cell that holds that point (up to rounding, far below SLACK). So a cell that retains every
@@ -17,15 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.node.geometry.lattice import SLACK
-from raygrid.node.geometry.surfaces import AddedKind, Batch, Kind
+from raygrid.node.geometry.surfaces import F64, AddedKind, Batch, Kind
 from raygrid.node.jit.decorators import kernel, part, piece
-
-F64 = NDArray[np.float64]
 
 
 @part
 def _edge_meets(points, j, k, low, high):
-    """Whether the edge between points j and k meets a box."""
+    """Tell whether the edge between points j and k meets a box."""
     enter, leave = 0.0, 1.0
     for axis in range(3):
         start, way = points[j, axis], points[k, axis] - points[j, axis]
@@ -53,7 +51,7 @@ def _normal(points, count):
 
 @piece
 def _polygon_meets(points, count, low, high):
-    """Whether a polygon meets a box. If no edge does, its part in the box is all of the plane there, or nothing."""
+    """Tell whether a polygon meets a box. If no edge does, its part in the box is all of the plane there, or nothing."""
     for k in range(count):
         if _edge_meets(points, k, k + 1 if k + 1 < count else 0, low, high):
             return True
@@ -126,7 +124,7 @@ def _capsule_meets(data, row, low, high):
 
 @part
 def surface_meets(kind, data, starts, boxes, row, low, high, points):
-    """Whether one surface meets the box low..high, already widened. `points`: scratch, float64 (3, 3)."""
+    """Tell whether one surface meets the box low..high, already widened. `points`: scratch, float64 (3, 3)."""
     inside, apart = True, False
     for axis in range(3):
         if boxes[row, 0, axis] > high[axis] or boxes[row, 1, axis] < low[axis]:
@@ -157,7 +155,7 @@ def _meeting(kind, data, starts, boxes, low, high, found):
 
 
 def meets(batch: Batch, low: F64, high: F64, boxes: F64 | None = None) -> NDArray[np.bool_]:
-    """Which surfaces of a batch come within SLACK of the box low..high (machine coordinates): bool (n,).
+    """Mark the surfaces of a batch that come within SLACK of the box low..high (machine coordinates): bool (n,).
 
     `boxes` may hand in `batch.bounds()` if it is at hand.
     """

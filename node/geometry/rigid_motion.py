@@ -1,11 +1,11 @@
-"""Groups of surfaces that move, and where a motion puts them.
+"""Moves groups of surfaces: works out where a motion puts them.
 
 Nodes keep the descriptions of moving surfaces as they are at rest. Where a surface is in a frame is always worked out
 from there and the frame's whole motion, by the one function `placed`: nothing drifts, and a node that was told only
 what has changed has the same bits as one that was loaded afresh.
 
 A motion is a row of MOTION numbers (float64): a unit quaternion w, x, y, z, a scale above 0, and a shift. It takes the
-point p at rest to scale * turned(p) + shift. `placed` multiplies and adds element by element, each rounded once by
+point p at rest to scale * rotated(p) + shift. `placed` multiplies and adds element by element, each rounded once by
 IEEE 754, and sums in a fixed order. (A product of matrices by BLAS may round in another way for another number of rows.)
 
     groups   before any surface: ranges of ids, (first id, number of ids, group) u32, and the motions of all groups
@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 
 from raygrid.node.errors import ProtocolError
 from raygrid.node.geometry.quaternion import quaternion_products, rotation_matrices
-from raygrid.node.geometry.surfaces import STORED_AS, AddedKind, AnyKind, Batch, Kind
+from raygrid.node.geometry.surfaces import F64, STORED_AS, AddedKind, AnyKind, Batch, Kind
 
-F64 = NDArray[np.float64]
 Ints = NDArray[np.int64]
 ROTATION, MOTION_SCALE, MOTION_SHIFT, MOTION = 0, 4, 5, 8
 MAX_GROUPS = 1 << 16
@@ -35,7 +34,7 @@ NO_MOTION = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 
 class Groups(NamedTuple):
-    """Which surfaces move together: ranges of ids, ascending and apart. Other surfaces stay where they are.
+    """Surfaces that move together: ranges of ids, ascending and apart. Other surfaces stay where they are.
 
     firsts, ends  int64 (r,), ids first <= id < end
     numbers       int64 (r,), the group
@@ -55,14 +54,14 @@ class Groups(NamedTuple):
         return np.where((self.firsts[row] <= ids) & (ids < self.ends[row]), self.numbers[row], -1)
 
     def among(self, ids: NDArray[Any], chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Which ids are of one of the chosen groups, a mask of `many`: bool (n,)."""
+        """Mark the ids of the chosen groups, a mask of `many`: bool (n,)."""
         number = self.of(ids)
         found: NDArray[np.bool_] = (number >= 0) & np.append(chosen, False)[number]
         return found
 
 
 class Moves(NamedTuple):
-    """The groups of a shot and where they are in one frame: motions, float64 (groups.many, MOTION)."""
+    """The groups of an animation and their places in one frame: motions, float64 (groups.many, MOTION)."""
 
     groups: Groups
     motions: F64
@@ -86,7 +85,7 @@ def at_rest(count: int) -> F64:
 
 
 def fault_of(motions: F64) -> str:
-    """What is wrong with motions, "" if nothing is."""
+    """Say what is wrong with motions, "" if nothing is."""
     for row, motion in enumerate(motions):
         if not np.isfinite(motion).all():
             return f"motion {row} is {motion.tolist()}, wanted finite numbers"
@@ -100,7 +99,7 @@ def fault_of(motions: F64) -> str:
     return ""
 
 
-def _turned(matrices: F64, vectors: F64) -> F64:
+def _rotated(matrices: F64, vectors: F64) -> F64:
     """Vectors (n, 3) multiplied by their matrices (n, 3, 3)."""
     x, y, z = vectors[:, 0], vectors[:, 1], vectors[:, 2]
     return np.stack([matrices[:, k, 0] * x + matrices[:, k, 1] * y + matrices[:, k, 2] * z for k in range(3)], axis=1)
@@ -117,7 +116,7 @@ def moved_rows(kind: AnyKind, data: F64, motions: F64) -> F64:
     if kind == AddedKind.PROGRAMMED:
         result[:, :4] = quaternion_products(motions[:, :4], data[:, :4])
         result[:, MOTION_SCALE] = data[:, MOTION_SCALE] * motions[:, MOTION_SCALE]
-        result[:, MOTION_SHIFT:MOTION] = _turned(matrices, data[:, MOTION_SHIFT:MOTION]) * scale + shift
+        result[:, MOTION_SHIFT:MOTION] = _rotated(matrices, data[:, MOTION_SHIFT:MOTION]) * scale + shift
         return result
     points: tuple[int, ...] = (0,)
     normals: tuple[int, ...] = ()
@@ -126,9 +125,9 @@ def moved_rows(kind: AnyKind, data: F64, motions: F64) -> F64:
     elif kind in (Kind.CYLINDER, Kind.CONE):
         points = (0, 4)
     for at in points:
-        result[:, at : at + 3] = _turned(matrices, data[:, at : at + 3]) * scale + shift
+        result[:, at : at + 3] = _rotated(matrices, data[:, at : at + 3]) * scale + shift
     for at in normals:
-        result[:, at : at + 3] = _turned(matrices, data[:, at : at + 3])
+        result[:, at : at + 3] = _rotated(matrices, data[:, at : at + 3])
     if kind in (Kind.SPHERE, Kind.CYLINDER, Kind.CONE):
         result[:, 3::4] = data[:, 3::4] * scale
     return result

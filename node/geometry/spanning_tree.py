@@ -1,4 +1,4 @@
-"""Flooding: to which neighbours a node hands surface descriptions on.
+"""Finds the branches of the flood's spanning tree: the neighbours to which a node hands surface descriptions on.
 
 A description enters at one corner and runs along the dimension-ordered tree of that corner: along x in the
 corner's row, from there along y, from there along z, always away from the corner. So each cell is reached on
@@ -55,7 +55,7 @@ towards_corner_part = part(towards_corner)
 
 
 def branches(corner: int, space: Space, cell: Cell) -> list[Branch]:
-    """Where descriptions that entered at this corner go on from this cell."""
+    """Branches by which descriptions that entered at this corner go on from this cell."""
     origin = corner_index(corner, space.shape)
     found = []
     for axis in (2, 1, 0):
@@ -64,7 +64,7 @@ def branches(corner: int, space: Space, cell: Cell) -> list[Branch]:
         if 0 <= onward < space.shape[axis]:
             found.append(port_box(2 * axis + (away > 0), space, cell))
         if cell.index[axis] != origin[axis]:
-            break  # the description has turned into this axis; lower axes were done before
+            break  # the description runs along this axis by now; lower axes were done before
     return found
 
 

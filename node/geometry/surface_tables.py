@@ -1,4 +1,4 @@
-"""The tables of a node's surfaces that kernels read: named tuples of flat arrays, made by `node.tracing.local_geometry`."""
+"""Declares the tables of a node's surfaces that kernels read: flat arrays, made by `node.tracing.local_geometry`."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.node.geometry.surfaces import NUMBERS
-
-F64 = NDArray[np.float64]
+from raygrid.node.geometry.surfaces import F64, NUMBERS
 
 KIND_SHIFT = 29
 SLOT_MASK = (1 << KIND_SHIFT) - 1
@@ -20,7 +18,7 @@ OWN_COLUMNS = OWN_NUMBER + NUMBERS
 
 
 class Surfaces(NamedTuple):
-    """What a node holds, built for the ray step. Items are surfaces in the order of the hierarchy's leaves.
+    """The surfaces of a node, built for the ray step. Items are surfaces in the order of the hierarchy's leaves.
 
     floats, words  the hierarchy (`node.geometry.bvh`), the same memory seen twice
     items          uint32, kind << 29 | row in the table of its kind; rows of a kind are in leaf order too

@@ -1,4 +1,4 @@
-"""Surface descriptions: what the host deals, what is flooded, what a node retains.
+"""Describes surfaces: as the host deals them, as they are flooded, as a node retains them.
 
 A description is one row of a `Batch`. A batch holds descriptions of one kind only, as flat arrays,
 because they are read from files, checked, moved, sent and built into hierarchies many at a time.
@@ -28,9 +28,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from raygrid.node.geometry.quaternion import F64 as F64
 from raygrid.node.geometry.quaternion import rotation_matrices
-
-F64 = NDArray[np.float64]
 
 
 class Kind(IntEnum):
@@ -168,7 +167,7 @@ def _cone_bounds(data: F64) -> F64:
 
 
 def _own_bounds(data: F64) -> F64:
-    """The box of a turned box: along each axis it reaches as far as its three half edges together."""
+    """The box of a rotated box: along each axis it reaches as far as its three half edges together."""
     axes = np.abs(rotation_matrices(data[:, :4])) * (data[:, OWN_HALF : OWN_HALF + 3] * data[:, 4:5])[:, None, :]
     reach = axes[:, :, 0] + axes[:, :, 1] + axes[:, :, 2]
     return np.stack((data[:, 5:8] - reach, data[:, 5:8] + reach), axis=1)
@@ -196,7 +195,7 @@ class SurfaceSet:
         return np.stack((lows.min(0), highs.max(0)))
 
     def count(self, kind: AnyKind) -> int:
-        """How many surfaces of this kind there are."""
+        """Count the surfaces of this kind."""
         return sum(len(batch) for batch in self.batches if batch.kind == kind)
 
 

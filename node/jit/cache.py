@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept: a directory named by a digest of this package's sources.
+"""Keeps compiled kernels on disk: in a directory named by a digest of this package's sources.
 
 numba checks only the file of the function that it loads, but a kernel has parts of other files inlined: after
 a change in one of those it would load the old machine code. So every state of the sources has a directory of its
@@ -43,7 +43,7 @@ _SETTINGS = ("BOUNDSCHECK", "OPT", "DEBUG", "ENABLE_PROFILING")  # of numba, tha
 
 
 class Keeping(NamedTuple):
-    """Where kernels are kept.
+    """The place in which kernels are kept.
 
     directory  None: nowhere
     writable   whether new ones can be put there
@@ -56,7 +56,7 @@ class Keeping(NamedTuple):
 
 
 def _digest() -> str:
-    """Of the sources of a processor, those of all its packages, and of the settings of numba that change what is compiled."""
+    """Digest of the sources of a processor, of all its packages, and of the settings of numba that change what is compiled."""
     state = hashlib.sha256()
     for source in sorted(_SOURCES.rglob("*.py")):
         state.update(str(source.relative_to(_SOURCES)).encode() + b"\0" + source.read_bytes())
@@ -65,7 +65,7 @@ def _digest() -> str:
 
 
 def _bases() -> Iterator[Path]:
-    """Where the directory may be, best first."""
+    """Bases in which the directory may be, best first."""
     named = [os.environ[name] for name in ("RAYGRID_CACHE", "NUMBA_CACHE_DIR") if os.environ.get(name)]
     if named:
         yield Path(named[0])
@@ -143,7 +143,7 @@ def say_where() -> None:
 
 
 def read_sealed(path: str) -> bytes | None:
-    """What `write_sealed` has put into a file; None if it is not there, is not whole, or may be another user's."""
+    """Read what `write_sealed` has put into a file; None if it is not there, is not whole, or may be another user's."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
         with open(descriptor, "rb") as file:

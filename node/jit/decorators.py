@@ -1,4 +1,4 @@
-"""How kernels are compiled: numba, cached on disk, no fastmath (the bits must not depend on the compiler's mood).
+"""Compiles kernels with numba: cached on disk, no fastmath (the bits must not depend on the compiler's mood).
 
 `kernel` is called from Python; `part` is a piece of a kernel and is inlined into it, because a call
 that hands on tables of surfaces would copy all their descriptors to the stack each time.
@@ -41,7 +41,7 @@ def _compiled(function: Function, **options: Any) -> Function:
 
 
 def is_on_disk(function: Function) -> bool:
-    """Whether a kernel was ever compiled in this state of the sources (a look at names of files only)."""
+    """Tell whether a kernel was ever compiled in this state of the sources (a look at names of files only)."""
     dispatcher: Any = function
     if not hasattr(dispatcher, "stats"):  # without a compiler
         return False

@@ -1,4 +1,4 @@
-"""How a compiled kernel is loaded from the cache on disk: without waking all of numba's compiler.
+"""Loads a compiled kernel from the cache on disk without waking all of numba's compiler.
 
 numba's own cache first makes the compiler ready, whatever comes (`BaseContext.refresh`: it imports and registers all
 that could be compiled, a quarter of a second, and scipy if it is installed), and then looks whether the kernel is there. But
@@ -87,7 +87,7 @@ _ENVIRONMENT = re.compile(r'@"?(_ZN08NumbaEnv[^"\s,()]*)')
 
 @functools.cache
 def can_load_alone() -> bool:
-    """Whether this numba is one whose kernels can be loaded without its compiler."""
+    """Tell whether this numba is one whose kernels can be loaded without its compiler."""
     try:
         for kind, name, parameters, names in _KNOWN:
             function = getattr(getattr(caching, kind), name)
@@ -117,7 +117,7 @@ def _have_runtime() -> bool:
 
 
 class Names(NamedTuple):
-    """Of a compiled function: what its machine code wants from outside, and what it defines."""
+    """Names that a compiled function's machine code wants from outside, and those that it defines."""
 
     wanted: tuple[str, ...]
     defined: tuple[str, ...]
@@ -149,7 +149,7 @@ _RELIED_UPON = {
 
 @functools.cache
 def can_seal() -> bool:
-    """Whether this numba is one whose files can be sealed; of another nothing is kept."""
+    """Tell whether this numba is one whose files can be sealed; of another nothing is kept."""
     return all(
         hasattr(getattr(caching, kind, None), name) for kind, names in _RELIED_UPON.items() for name in names
     ) and hasattr(caching.CacheImpl, "_locator_classes")
@@ -165,7 +165,7 @@ def _said(error: Exception) -> str:
 if can_seal():
 
     class _Locator(caching._SourceFileBackedLocatorMixin, caching._CacheLocator):  # type: ignore[misc]
-        """Where the files of a function are: in the directory in which caches are made now, which may be one to read only."""
+        """Locates the files of a function: in the directory in which caches are made now, which may be one to read only."""
 
         def __init__(self, function: Any, file: str) -> None:
             self._py_file, self._lineno = file, function.__code__.co_firstlineno
@@ -216,7 +216,7 @@ if can_seal():
             write_sealed(self._data_path(name), self._dump(data))
 
     class _OwnPayload(caching.CompileResultCacheImpl):  # type: ignore[misc]
-        """What numba keeps of a kernel, in our place."""
+        """Keeps what numba keeps of a kernel, in our place."""
 
         _locator_classes = (_Locator,)
 
@@ -235,7 +235,7 @@ if can_seal():
 if can_seal() and can_load_alone():
 
     class _Payload(_OwnPayload):
-        """What is kept of a kernel: its names, and what numba keeps; in files that numba alone does not read."""
+        """Keeps of a kernel its names, and what numba keeps; in files that numba alone does not read."""
 
         def get_filename_base(self, fullname: str, abiflags: str) -> str:
             return f"alone-{super().get_filename_base(fullname, abiflags)}"
@@ -301,7 +301,7 @@ class _Lender:
 
 
 class LazyCache:
-    """The cache of a function, in a directory as of `kernel_cache`; what numba asks of a cache, handed on to one."""
+    """The cache of a function, in a directory as of `node.jit.cache`; what numba asks of a cache, handed on to one."""
 
     def __init__(self, function: Any, directory: DirectoryName) -> None:
         self._function, self._directory = function, directory
@@ -322,7 +322,7 @@ class LazyCache:
 
     @property
     def cache_path(self) -> str:
-        """Where its files are; where none can be, if there are none."""
+        """Directory of its files; a place where none can be, if there are none."""
         return self._cache.cache_path or os.devnull
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Eight numbers at once in the words of arithmetic, for code that is given to LLVM as vectors (see `node.geometry.bvh_simd`).
+"""Writes arithmetic on eight numbers at once, for code that is given to LLVM as vectors (see `node.geometry.bvh_simd`).
 
 An expression of `Lanes` is written like that of plain numbers and becomes the same operations in the same order, in
 every lane; LLVM makes of eight lanes one, two or four registers, whatever the processor has. No comparison is a branch.
@@ -10,10 +10,14 @@ every lane; LLVM makes of eight lanes one, two or four registers, whatever the p
 from __future__ import annotations
 
 from copy import copy
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from llvmlite import ir
 from numba.core import cgutils
+
+if TYPE_CHECKING:
+    from raygrid.node.jit.code_types import BaseContext, IRBuilder, Value, Values
+
 
 EIGHT = 8
 
@@ -28,13 +32,13 @@ class Lanes:
     Bytes and binary32 are read and written, and little else; what is worked out with them is written out below.
     """
 
-    def __init__(self, builder: Any, value: Any) -> None:
+    def __init__(self, builder: IRBuilder, value: Value) -> None:
         self.builder, self.value = builder, value
 
-    def _with(self, value: Any) -> Lanes:
+    def _with(self, value: Value) -> Lanes:
         return Lanes(self.builder, value)
 
-    def _same(self, other: Lanes | float) -> Any:
+    def _same(self, other: Lanes | float) -> Value:
         return other.value if isinstance(other, Lanes) else ir.Constant(self.value.type, [other] * EIGHT)
 
     def _as(self, convert: str, kind: ir.Type) -> Lanes:
@@ -132,32 +136,32 @@ class Lanes:
         return self._compared(">=", other)
 
     def equals(self, other: Lanes | float) -> Lanes:
-        """Whether these are those."""
+        """Compare for equality."""
         return self._compared("==", other)
 
     def choose(self, yes: Lanes | float, no: Lanes) -> Lanes:
-        """Of truths: where they hold the one, elsewhere the other."""
+        """Choose by truths: where they hold the one, elsewhere the other."""
         return self._with(self.builder.select(self.value, no._same(yes), no.value))
 
     def lacks(self, other: Lanes) -> Lanes:
-        """Of truths: where these hold and the others do not."""
+        """Truths that hold where these do and the others do not."""
         return self._with(self.builder.and_(self.value, self.builder.not_(other.value)))
 
     def both(self, other: Lanes) -> Lanes:
-        """Of truths: where these hold and the others do."""
+        """Truths that hold where these and the others do."""
         return self._with(self.builder.and_(self.value, other.value))
 
     def either(self, other: Lanes) -> Lanes:
-        """Of truths: where these hold or the others do."""
+        """Truths that hold where these or the others do."""
         return self._with(self.builder.or_(self.value, other.value))
 
-    def count(self) -> Any:
-        """Of truths: how many hold, one int64."""
+    def count(self) -> Value:
+        """Count the truths that hold, one int64."""
         together = self.builder.bitcast(self.value, ir.IntType(EIGHT))
         return self.builder.zext(self.builder.ctpop(together), _LONG)
 
     def in_front(self, chosen: Lanes) -> Lanes:
-        """Of int64: those that are chosen in front, in order, and then anything; one instruction with AVX-512."""
+        """Move the chosen int64 to the front, in order, and then anything; one instruction with AVX-512."""
         kind = self.value.type
         declared = ir.FunctionType(kind, [kind, chosen.value.type, kind])
         name = f"llvm.experimental.vector.compress.v{EIGHT}i64"
@@ -165,7 +169,7 @@ class Lanes:
         return self._with(self.builder.call(compress, [self.value, chosen.value, ir.Constant(kind, ir.Undefined)]))
 
     def as_int(self) -> Lanes:
-        """Of truths, or bytes: as int32, truths 1 where they hold, else 0."""
+        """Truths or bytes as int32, truths 1 where they hold, else 0."""
         return self._as("zext", _INT)
 
     # --- other types ---------------------------------------------------------------------------------
@@ -230,18 +234,20 @@ def within(lanes: Lanes, low: float, high: float) -> Lanes:
 class Table:
     """Rows of `length` numbers of an array that is seen as flat, eight of each from place `at` of the first row on."""
 
-    def __init__(self, context: Any, builder: Any, kind: Any, array: Any, at: Any, length: int) -> None:
+    def __init__(
+        self, context: BaseContext, builder: IRBuilder, kind: Any, array: Value, at: Value, length: int
+    ) -> None:
         self._builder, self._at = builder, at
         self._data = context.make_array(kind)(context, builder, array).data
         self._vector = ir.VectorType(_OF[str(kind.dtype)], EIGHT)
         self._bytes, self._length = kind.dtype.bitwidth // 8, length
 
-    def _place(self, row: int) -> Any:
+    def _place(self, row: int) -> Value:
         index = self._builder.add(self._at, ir.Constant(_LONG, row * self._length))
         return self._builder.bitcast(self._builder.gep(self._data, [index]), self._vector.as_pointer())
 
-    def at(self, place: Any) -> Table:
-        """The same from another place on."""
+    def at(self, place: Value) -> Table:
+        """This table from another place on."""
         other = copy(self)
         other._at = place
         return other
@@ -259,14 +265,14 @@ class Table:
         self._builder.store(lanes.value, self._place(row), align=self._bytes)
 
 
-def splat(builder: Any, value: Any) -> Lanes:
-    """The same number in every lane."""
+def splat(builder: IRBuilder, value: Value) -> Lanes:
+    """Put the same number into every lane."""
     kind = ir.VectorType(value.type, EIGHT)
     nothing = ir.Constant(kind, ir.Undefined)
     first = builder.insert_element(nothing, value, ir.Constant(_INT, 0))
     return Lanes(builder, builder.shuffle_vector(first, nothing, ir.Constant(ir.VectorType(_INT, EIGHT), [0] * EIGHT)))
 
 
-def splats(builder: Any, values: Any) -> list[Lanes]:
-    """The same for each number of a tuple."""
+def splats(builder: IRBuilder, values: Values) -> list[Lanes]:
+    """Splat each number of a tuple."""
     return [splat(builder, value) for value in cgutils.unpack_tuple(builder, values)]

@@ -1,4 +1,4 @@
-"""Whose files are there: only what nobody but us and root can have put into a place is loaded as code.
+"""Checks whose files are there: only what nobody but us and root can have put into a place is loaded as code.
 
 Compiled code is kept as pickles, and who lays a pickle where another loads it runs code as that other. So a directory
 is believed only if it is ours or root's, nobody else may write in it, and none of the directories above it lets anybody
@@ -15,7 +15,7 @@ from functools import cache
 
 
 def why_not_trusted(path: str) -> str | None:
-    """Why the files in a directory, whose own name is no link, may be another user's; None if they cannot."""
+    """Say why the files in a directory, whose own name is no link, may be another user's; None if they cannot."""
     real = os.path.join(os.path.realpath(os.path.dirname(path)), os.path.basename(path))
     try:
         why = _why_not(os.lstat(real), False)
@@ -32,7 +32,7 @@ def why_not_trusted(path: str) -> str | None:
 
 
 def why_not_file(status: os.stat_result) -> str | None:
-    """The same of one file, whose own status this is."""
+    """Say why one file, whose own status this is, may be another user's; None if it cannot."""
     if not stat.S_ISREG(status.st_mode):
         return "not a regular file"
     return _why_not_ours(status, {0, os.geteuid()})
@@ -75,7 +75,7 @@ def _outsiders() -> set[int]:
 
 @cache
 def _is_private(group: int) -> bool:
-    """Whether this is the group of our user alone, as many systems give each user one."""
+    """Tell whether this is the group of our user alone, as many systems give each user one."""
     try:
         us, entry = pwd.getpwuid(os.geteuid()), grp.getgrgid(group)
     except KeyError:

@@ -14,7 +14,8 @@ import numpy as np
 
 from raygrid.node.errors import ProtocolError, SceneError
 from raygrid.node.geometry.lattice import Space, make_space
-from raygrid.node.protocol.frame_tables import F64, LIGHT_COLUMNS, MATERIAL_COLUMNS, RULE_COLUMNS, Frame
+from raygrid.node.geometry.surfaces import F64
+from raygrid.node.protocol.frame_tables import LIGHT_COLUMNS, MATERIAL_COLUMNS, RULE_COLUMNS, Frame
 from raygrid.node.protocol.packets import MAX_DEPTH, MAX_LIGHTS, MAX_SAMPLES
 
 MAX_SIDE = 65536  # pixels

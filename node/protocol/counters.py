@@ -1,4 +1,4 @@
-"""The counters of a ray step: how many packets were born, died and were sent, and what their walks cost.
+"""Numbers the counters of a ray step: packets that were spawned, died and were sent, and what their walks cost.
 
 They are places in an array of int64, summed over the nodes by waves and priced by cost models.
 """
@@ -9,7 +9,7 @@ from raygrid.node.geometry.grid_walk import OUTPUTS
 from raygrid.node.geometry.surfaces import SURFACE_KINDS
 from raygrid.node.protocol.packets import KINDS
 
-BORN = 0  # by packet kind
+BORN = 0  # spawned, by packet kind
 DIED = BORN + KINDS
 SENT = DIED + KINDS  # packets put on each output
 TESTS = SENT + OUTPUTS  # ray against surface, by kind of surface

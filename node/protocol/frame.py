@@ -1,4 +1,4 @@
-"""Frame-wide facts: what every node holds beside its own surfaces (camera, lights, materials).
+"""Declares the facts of a frame that every node holds beside its own surfaces: camera, lights, materials.
 
 The tables are numpy record arrays, because they are read in compiled kernels and travel as bytes.
 Colours and intensities are linear. Positions are in the coordinates of their owner: scene

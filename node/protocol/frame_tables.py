@@ -1,4 +1,4 @@
-"""The facts of a frame as kernels read them and as an order carries them: camera, lights and materials in columns."""
+"""Puts the facts of a frame into columns, as kernels read them and a command carries them: camera, lights, materials."""
 
 from __future__ import annotations
 
@@ -7,11 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.node.geometry.surfaces import NUMBERS
+from raygrid.node.geometry.surfaces import F64, NUMBERS
 from raygrid.node.protocol.frame import LIGHT_RECORD, MATERIAL_RECORD
 from raygrid.node.protocol.packets import MAX_LIGHTS, PacketLimits
-
-F64 = NDArray[np.float64]
 
 # columns of Frame.materials; rules of a program, if there are any: whether it has one, and its numbers
 DIFFUSE, HIGHLIGHT, SHINE, SPECULAR, TRANSMISSION, IOR, MATERIAL_COLUMNS = 0, 3, 6, 7, 10, 13, 14
@@ -25,13 +23,13 @@ LIGHT_COLUMNS = 18
 class Frame(NamedTuple):
     """Facts of a frame, in machine coordinates.
 
-    camera      float64 (6, 3), rows as the fields of `node.protocol.frame.CAMERA`
+    camera      float64 (6, 3), rows as the fields of `node.protocol.frame.CAMERA_RECORD`
     materials   float64 (m, MATERIAL_COLUMNS); lights float64 (l, LIGHT_COLUMNS), at least one row each
     n_lights    how many lights there are (0 allowed)
     background  linear RGB of rays that leave the scene
     width, height, samples   pixels, and samples a pixel
-    depth       depth of the last hit that is lit; the eye's ray has depth 1
-    min_weight  rays whose largest weight is below this are not born
+    depth       depth of the last hit that is lit; a primary ray has depth 1
+    min_weight  rays whose largest weight is below this are not spawned
     discs       whether any light can be seen
     """
 
@@ -63,6 +61,6 @@ def light_table(lights: NDArray[Any]) -> F64:
 
 
 def frame_limits(frame: Frame, shape: tuple[int, int, int]) -> PacketLimits:
-    """What packets of this frame may name."""
+    """Limits of what packets of this frame may name."""
     pixels = frame.width * frame.height
     return PacketLimits(pixels * frame.samples, pixels, min(frame.n_lights, MAX_LIGHTS), frame.depth, shape)

@@ -61,13 +61,13 @@ class MessageKind(IntEnum):
     BYE = 8  # nothing more will come
     BYE_ACK = 9
     STAMPED = 10  # packets with their ticks of machine time (`node.protocol.timestamps`)
-    ENQUIRY = 11  # a question how far a node may go in machine time, or its answer
+    LOOKAHEAD = 11  # a look-ahead request of a node in machine time, or its answer
     REDUCE = 12  # a wave of a trace on its way from the root (`node.runtime.reduction`)
     REDUCED = 13  # its reply
 
 
 _KINDS = {int(kind): kind for kind in MessageKind}
-IS_DATA = frozenset((MessageKind.PACKETS, MessageKind.SURFACES, MessageKind.STAMPED, MessageKind.ENQUIRY))
+IS_DATA = frozenset((MessageKind.PACKETS, MessageKind.SURFACES, MessageKind.STAMPED, MessageKind.LOOKAHEAD))
 
 
 class Header(NamedTuple):

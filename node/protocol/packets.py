@@ -1,4 +1,4 @@
-"""The packets: the only place that knows their bytes. Every packet is exactly 25 bytes, little-endian.
+"""Packs and checks packets; no other module knows their bytes. Every packet is exactly 25 bytes, little-endian.
 
 ======  ==========================  ==========================  =======================  ====================
 offset  PRIMARY REFLECTED REFRACTED  SHADOW                      RETURN                   PIXEL
@@ -22,8 +22,8 @@ intensity  binary32, finite and not negative
 home       cell of the sample's home, so that no node on the way has to work it out again
 sum        of fixed-point intensities (`node.tracing.framebuffer`); a pixel may come in several packets
 
-Rounding to the wire is defined here; `node.tracing.spawn` and `node.tracing.primary_rays` do it for eight rays at once, byte for
-byte the same (tests compare them). A ray is rounded when it is born (law 4).
+Rounding to the wire is defined here; `node.tracing.spawn` and `node.tracing.primary_rays` do it for eight rays at once,
+byte for byte the same (tests compare them). A ray is rounded when it is spawned (law 4).
 Byte positions (`at`) are offsets into flat uint8 arrays.
 """
 
@@ -76,7 +76,7 @@ U8 = NDArray[np.uint8]
 
 
 class PacketLimits(NamedTuple):
-    """What a packet of this frame may name; `check` refuses the rest."""
+    """Limits of what a packet of a frame may name; `check` refuses the rest."""
 
     samples: int  # sample numbers are below this
     pixels: int
@@ -335,14 +335,14 @@ def _fault_of_return(buffer, at, limits):
 
 @part
 def _is_sound_start(head, limits):
-    """Whether depth and sample are those of a ray or shadow ray; `head`: the first bytes of its packet."""
+    """Tell whether depth and sample are those of a ray or shadow ray; `head`: the first bytes of its packet."""
     depth, number = (head >> 3) & 31, (head >> 8) & 0xFFFFFFFF
     return (depth >= 1) & (depth <= limits.depth) & (number < limits.samples)
 
 
 @part
 def is_sound_shadow(buffer, at, limits):
-    """Whether the packet at `at` is one of a shadow ray without a fault. Without a branch, as the next two."""
+    """Tell whether the packet at `at` is one of a shadow ray without a fault. Without a branch, as the next two."""
     head, tail = read_u64(buffer, at), read_u64(buffer, at + 14)
     weights = max((tail >> 16) & 0xFFFFFF, max((tail >> 40) & 0xFFFFFF, read_u64(buffer, at + 17) >> 40 & 0xFFFFFF))
     sound = _is_sound_start(head, limits) & ((head & 7) == SHADOW)
@@ -351,7 +351,7 @@ def is_sound_shadow(buffer, at, limits):
 
 @part
 def is_sound_ray(buffer, at, limits):
-    """Whether the packet at `at` is one of a primary, reflected or refracted ray without a fault."""
+    """Tell whether the packet at `at` is one of a primary, reflected or refracted ray without a fault."""
     head, tail = read_u64(buffer, at), read_u64(buffer, at + 14)
     sound = _is_sound_start(head, limits) & ((head & 7) >= PRIMARY) & ((head & 7) <= REFRACTED)
     return sound & (max(tail & 0xFFFFFF, (tail >> 24) & 0xFFFFFF) <= 2 * HALF_DIRECTION)
@@ -359,7 +359,7 @@ def is_sound_ray(buffer, at, limits):
 
 @part
 def is_sound_return(buffer, at, limits):
-    """Whether the packet at `at` is a return without a fault."""
+    """Tell whether the packet at `at` is a return without a fault."""
     head, middle, tail = read_u64(buffer, at), read_u64(buffer, at + 5), read_u64(buffer, at + 17)
     largest = max(middle & 0xFFFFFFFF, max((middle >> 32) & 0xFFFFFFFF, read_u32(buffer, at + 13)))
     x, y, z = tail & 0xFFFF, (tail >> 16) & 0xFFFF, (tail >> 32) & 0xFFFF

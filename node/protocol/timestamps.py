@@ -1,11 +1,11 @@
-"""What timed processes send beside the packets: ticks, promises and questions; and the cost model in a frame's order.
+"""Packs what timed processes send: ticks, channel clocks, look-ahead requests; and the cost model in a frame's command.
 
-    STAMPED   frame u32, promise i64, ticks i64 each, then the packets of 25 bytes
-    LOOKAHEAD   frame u32, answer u8, origin 3 x u16, number u32, tick i64, promise i64
+    STAMPED    frame u32, channel clock i64, ticks i64 each, then the packets of 25 bytes
+    LOOKAHEAD  frame u32, answer u8, origin 3 x u16, number u32, tick i64, channel clock i64
 
-promise   nothing that is sent on this link after this message arrives before this tick
-answer    ASK, YES or NO (`node.timed.lookahead`); origin, number and tick are those of the question
-frame     the number of the wave that began the frame; what is left of another one is dropped
+channel clock  nothing that is sent on this link after this message arrives before this tick
+answer         ASK, YES or NO (`node.timed.lookahead`); origin, number and tick are those of the request
+frame          the number of the wave that began the frame; what is left of another one is dropped
 
 Both wait for credit like all data, so that none overtakes another.
 """
@@ -60,7 +60,7 @@ class Stamped(NamedTuple):
     """A decoded STAMPED message; `at`: where its packets begin."""
 
     frame: int
-    promise: int
+    channel_clock: int
     ticks: Long
     at: int
 
@@ -73,12 +73,12 @@ class LookaheadRequest(NamedTuple):
     origin: tuple[int, int, int]
     number: int
     tick: int
-    promise: int
+    channel_clock: int
 
 
-def pack_stamped(frame: int, promise: int, ticks: Long, packets: bytes) -> bytes:
+def pack_stamped(frame: int, channel_clock: int, ticks: Long, packets: bytes) -> bytes:
     """The payload of a STAMPED message."""
-    return STAMP.pack(frame, promise) + ticks.astype("<i8", copy=False).tobytes() + packets
+    return STAMP.pack(frame, channel_clock) + ticks.astype("<i8", copy=False).tobytes() + packets
 
 
 def read_stamped(message: bytes, count: int) -> Stamped:
@@ -88,32 +88,30 @@ def read_stamped(message: bytes, count: int) -> Stamped:
         raise ProtocolError(
             f"{count} packets with ticks came in {len(message)} bytes, wanted {expected}, and at least one"
         )
-    frame, promise = STAMP.unpack_from(message, HEAD)
+    frame, clock = STAMP.unpack_from(message, HEAD)
     ticks = np.frombuffer(message, "<i8", count, HEAD + STAMP.size).astype(np.int64)
-    if not 0 <= promise <= LAST_TICK or np.any(np.diff(ticks) < 0) or ticks[0] < 0 or ticks[-1] >= LAST_TICK:
-        raise ProtocolError(f"{count} packets came with the promise {promise} and ticks that do not ascend from 0")
-    return Stamped(frame, promise, ticks, HEAD + STAMP.size + 8 * count)
+    if not 0 <= clock <= LAST_TICK or np.any(np.diff(ticks) < 0) or ticks[0] < 0 or ticks[-1] >= LAST_TICK:
+        raise ProtocolError(f"{count} packets came with the channel clock {clock} and ticks that do not ascend from 0")
+    return Stamped(frame, clock, ticks, HEAD + STAMP.size + 8 * count)
 
 
-def pack_lookahead(lookahead_request: LookaheadRequest) -> bytes:
-    """The payload of an LOOKAHEAD message."""
-    return LOOKAHEAD.pack(
-        lookahead_request.frame, lookahead_request.answer, *lookahead_request.origin, *lookahead_request[3:]
-    )
+def pack_lookahead(request: LookaheadRequest) -> bytes:
+    """The payload of a LOOKAHEAD message."""
+    return LOOKAHEAD.pack(request.frame, request.answer, *request.origin, *request[3:])
 
 
 def read_lookahead(message: bytes) -> LookaheadRequest:
-    """Decode an LOOKAHEAD message. Raises ProtocolError."""
+    """Decode a LOOKAHEAD message. Raises ProtocolError."""
     if len(message) != HEAD + LOOKAHEAD.size:
-        raise ProtocolError(f"an enquiry came with {len(message) - HEAD} bytes, wanted {LOOKAHEAD.size}")
-    frame, answer, x, y, z, number, tick, promise = LOOKAHEAD.unpack_from(message, HEAD)
-    if answer > NO or not (0 <= tick <= LAST_TICK and 0 <= promise <= LAST_TICK):
-        raise ProtocolError(f"an enquiry came with answer {answer}, tick {tick} and promise {promise}")
-    return LookaheadRequest(frame, answer, (x, y, z), number, tick, promise)
+        raise ProtocolError(f"a look-ahead request came with {len(message) - HEAD} bytes, wanted {LOOKAHEAD.size}")
+    frame, answer, x, y, z, number, tick, clock = LOOKAHEAD.unpack_from(message, HEAD)
+    if answer > NO or not (0 <= tick <= LAST_TICK and 0 <= clock <= LAST_TICK):
+        raise ProtocolError(f"a look-ahead request came with answer {answer}, tick {tick} and channel clock {clock}")
+    return LookaheadRequest(frame, answer, (x, y, z), number, tick, clock)
 
 
 def prices_order(prices: Prices, tests: Long) -> dict[str, Any]:
-    """What the order of a frame carries for timed processes. tests int64 (6,): of a list, 0 for a tree."""
+    """Facts that the command of a frame carries for timed processes. tests int64 (6,): of a list, 0 for a tree."""
     return {
         "prices": prices.counts.astype("<i8").tobytes(),
         "tests": [int(ticks) for ticks in tests],
@@ -122,7 +120,7 @@ def prices_order(prices: Prices, tests: Long) -> dict[str, Any]:
 
 
 def read_prices(order: Mapping[str, object]) -> tuple[Prices, Long] | None:
-    """(prices, ticks of a list's tests) of the order of a frame; None if it is not timed. Raises ProtocolError."""
+    """(prices, ticks of a list's tests) of the command of a frame; None if it is not timed. Raises ProtocolError."""
     if "prices" not in order:
         return None
     table, tests, costs = order["prices"], order.get("tests", []), order.get("costs", [])

@@ -53,7 +53,7 @@ def warm(node_state: NodeState) -> None:
 
 def _again(node_state: NodeState, packets: Bytes, ports: Bytes, first: int, last: int, what: int, counts: Long) -> None:
     tables = node_state.cell, node_state.space, node_state.frame, node_state.surfaces
-    trace_again(*tables, packets, ports, first, last, what, node_state.outputs.stack, node_state.outputs.ahead, counts)
+    trace_again(*tables, packets, ports, first, last, what, node_state.outputs.stack, node_state.outputs.setup, counts)
 
 
 class Profile:

@@ -1,12 +1,12 @@
-"""A processor that keeps machine time among others that do: conservative, by null messages on demand.
+"""Runs a processor that keeps machine time among others that do: conservative, by null messages on demand.
 
-Every link's other end promises that nothing will arrive by it before some tick (K. M. Chandy and J. Misra, "Distributed
-simulation: a case study in design and verification of distributed programs", IEEE TSE 1979; R. E. Bryant, MIT 1977).
-A decision at a tick before all promises can be carried out; what happens then is `node.timed.service_clock`, so neither this
-computer's scheduler nor the order in which messages come can change anything.
+Every link has a channel clock, kept by its other end: nothing arrives by it before this tick (K. M. Chandy and J. Misra,
+"Distributed simulation: a case study in design and verification of distributed programs", IEEE TSE 1979; R. E. Bryant,
+MIT 1977). A decision at a tick before all channel clocks can be carried out; what happens then is
+`node.timed.service_clock`, so neither this computer's scheduler nor the order in which messages come can change anything.
 
-A promise travels with every message. A node that may not decide yet asks for more (`node.timed.lookahead`). When nothing is
-left to do nobody asks, and all is silent.
+The channel clock travels with every message. A node that may not decide yet sends look-ahead requests
+(`node.timed.lookahead`). When nothing is left to do nobody asks, and all is silent.
 """
 
 from __future__ import annotations
@@ -37,20 +37,10 @@ from raygrid.node.runtime.processor import Processor
 from raygrid.node.runtime.reduction import TraceFields
 from raygrid.node.timed.lookahead import Lookahead
 from raygrid.node.timed.service_clock import (
-    BUSY,
     CLOCK_BLOCKED,
     CLOCK_FULL,
     CLOCK_IDLE,
-    ENDED,
-    FREE,
-    LINK_FREE,
-    LIST_TICKS,
-    MOST_WAITING,
-    PACKETS_SENT,
-    PACKETS_SERVED,
-    TRACE,
-    WAITED,
-    WALKED,
+    CLOCK_RECORD,
     Stamps,
     advance,
     grown,
@@ -64,7 +54,7 @@ FIRST_CLOCK_ROOM = 4096  # packets of the store; doubled whenever they do not su
 
 
 class TimedProcessor(Processor):
-    """A node that traces in machine time. All else it does as any other."""
+    """Traces in machine time. All else it does as any other processor."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
@@ -73,7 +63,7 @@ class TimedProcessor(Processor):
         self._started = False
         self._why = CLOCK_IDLE
         self._frame_number = 0
-        self._told = [0] * PORTS  # promises of the neighbours
+        self._channel_clocks = [0] * PORTS  # as the neighbours sent them
         self._lookahead = self._new_lookahead(0)
         self._dirty = False
         self.timed = make_service_clock(1, FIRST_CLOCK_ROOM)
@@ -85,7 +75,7 @@ class TimedProcessor(Processor):
         return Stamps(np.zeros((PORTS + 1, room), np.int64), np.zeros(PORTS + 1, np.int64))
 
     def _new_lookahead(self, first: int) -> Lookahead:
-        """No questions yet; nothing arrives before tick `first`."""
+        """Begin without requests; nothing arrives before tick `first`."""
         ports = self._neighbours
         lookahead = 1 if self._prices is None else self._prices.lookahead
         bound = dict.fromkeys(ports, first)
@@ -104,7 +94,7 @@ class TimedProcessor(Processor):
     def _admit(self, request: TraceFields) -> None:
         super()._admit(request)
         if self._prices is not None:
-            self.node_state.quota = 0  # births follow machine time, not the root
+            self.node_state.quota = 0  # spawning follows machine time, not the root
             self._started = self._dirty = True
 
     def _begin_frame(self, order: CommandMap) -> None:
@@ -117,15 +107,15 @@ class TimedProcessor(Processor):
         self._frame_number = _wave_of(order)
         self.timed, self._stamps = make_service_clock(1, FIRST_CLOCK_ROOM), self._new_stamps()
         held = [sum(len(batch) for batch in self.node_state.retained if batch.kind == kind) for kind in Kind]
-        self.timed.nodes[0, LIST_TICKS] = int(np.array(held) @ tests)
+        self.timed.nodes[0]["list_ticks"] = int(np.array(held) @ tests)
         first = self._prices.lookahead  # nobody has decided anything yet
-        self._told = [first] * PORTS
+        self._channel_clocks = [first] * PORTS
         self._lookahead = self._new_lookahead(first)
 
     # --- messages ----------------------------------------------------------------------------------
 
     def _take_other(self, port: int, link: Link, arrival: Arrival) -> None:
-        if port == HOST or arrival.kind not in (MessageKind.STAMPED, MessageKind.ENQUIRY):
+        if port == HOST or arrival.kind not in (MessageKind.STAMPED, MessageKind.LOOKAHEAD):
             super()._take_other(port, link, arrival)
             return
         link.grant()
@@ -133,21 +123,21 @@ class TimedProcessor(Processor):
             if arrival.kind is MessageKind.STAMPED:
                 self._take_stamped(port, arrival)
             else:
-                lookahead_request = read_lookahead(arrival.message)
-                if self._is_current(lookahead_request.frame):
-                    self._rely_on(port, lookahead_request.promise)
-                    self._lookahead.take(port, lookahead_request)
+                request = read_lookahead(arrival.message)
+                if self._is_current(request.frame):
+                    self._advance_channel(port, request.channel_clock)
+                    self._lookahead.take(port, request)
         except ProtocolError as error:
             self._refuse(f"link {link.name}: {error}")
 
     def _is_current(self, frame: int) -> bool:
         return self._prices is not None and frame == self._frame_number
 
-    def _rely_on(self, port: int, promise: int) -> None:
-        if promise < self._told[port]:
-            raise ProtocolError(f"the promise {promise} came after the promise {self._told[port]}")
-        self._told[port] = promise
-        self._lookahead.bound[port] = max(self._lookahead.bound[port], promise)
+    def _advance_channel(self, port: int, clock: int) -> None:
+        if clock < self._channel_clocks[port]:
+            raise ProtocolError(f"the channel clock {clock} came after the channel clock {self._channel_clocks[port]}")
+        self._channel_clocks[port] = clock
+        self._lookahead.bound[port] = max(self._lookahead.bound[port], clock)
         self._dirty = True
 
     def _take_stamped(self, port: int, arrival: Arrival) -> None:
@@ -163,7 +153,7 @@ class TimedProcessor(Processor):
             raise ProtocolError(f"a packet came for tick {message.ticks[0]}, when none could before {before}")
         self._make_room(arrival.items)
         insert(self.timed, port, message.ticks, packets, message.at, arrival.items)
-        self._rely_on(port, message.promise)
+        self._advance_channel(port, message.channel_clock)
 
     def _make_room(self, many: int) -> None:
         while self.timed.spare[1] < many:
@@ -173,25 +163,25 @@ class TimedProcessor(Processor):
 
     @property
     def busy(self) -> bool:
-        """Whether `work` has something to do now."""
+        """Tell whether `work` has something to do now."""
         return super().busy or (self._started and (self._dirty or self._why == CLOCK_FULL))
 
     def _idle(self) -> bool:
         return super()._idle() and not (self._started and self._why == CLOCK_BLOCKED)
 
     def work(self, wait: bool = False) -> bool:
-        """Carry out what the promises allow, send what came of it, then do one piece of other work."""
+        """Carry out what the channel clocks allow, send what came of it, then do one piece of other work."""
         if self._started and self._prices is not None and self.busy:
             self._dirty = False
             self._advance()
             self._send()
-            self._lookahead.turn()
+            self._lookahead.handle_requests()
             if self._why == CLOCK_BLOCKED:
                 self._lookahead.ask(self._decision())
         return super().work()
 
     def _decision(self) -> int:
-        """The next decision as far as it is known."""
+        """Tick of the next decision as far as it is known."""
         return int(next_decision(self.timed, self.node_state.samples_left))
 
     def _advance(self) -> None:
@@ -207,29 +197,29 @@ class TimedProcessor(Processor):
         if first < horizon:
             self._lookahead.decided(first)
 
-    def _promise(self, port: int) -> int:
-        """The promise that can be given to a neighbour now."""
+    def _channel_clock(self, port: int) -> int:
+        """Tick before which nothing more is sent to a neighbour, as far as is known now."""
         assert self._prices is not None
         row = self.timed.nodes[0]
-        decision = min(self._decision(), max(int(row[FREE]), self._lookahead.horizon()))
-        after_others = int(row[LINK_FREE + port]) + self._prices.transmit + self._prices.latency
+        decision = min(self._decision(), max(int(row["free"]), self._lookahead.horizon()))
+        after_others = int(row["link_free"][port]) + self._prices.transmit + self._prices.latency
         return min(max(decision + self._prices.lookahead, after_others), LAST_TICK)
 
-    def _post_request(self, port: int, lookahead_request: LookaheadRequest) -> None:
-        payload = pack_lookahead(lookahead_request._replace(promise=self._promise(port)))
-        self.links[port].send_data(MessageKind.ENQUIRY, 0, payload)
+    def _post_request(self, port: int, request: LookaheadRequest) -> None:
+        payload = pack_lookahead(request._replace(channel_clock=self._channel_clock(port)))
+        self.links[port].send_data(MessageKind.LOOKAHEAD, 0, payload)
 
     def _send(self) -> None:
-        """Packets with their ticks, and a promise of what comes after them."""
+        """Send packets with their ticks, and the channel clock after them."""
         outputs = self.node_state.outputs
         for port in self._neighbours:
             held = int(outputs.held[port])
             if not held:
                 continue
-            link, promise, ticks = self.links[port], self._promise(port), self._stamps.ticks[port, :held]
+            link, clock, ticks = self.links[port], self._channel_clock(port), self._stamps.ticks[port, :held]
             for first in range(0, held, self.batch):
                 last = min(first + self.batch, held)
-                known = promise if last == held else int(ticks[last - 1])
+                known = clock if last == held else int(ticks[last - 1])
                 packets = outputs.data[port, HEAD + first * SIZE : HEAD + last * SIZE].tobytes()
                 payload = pack_stamped(self._frame_number, known, ticks[first:last], packets)
                 link.send_data(MessageKind.STAMPED, last - first, payload)
@@ -246,17 +236,17 @@ class TimedProcessor(Processor):
                 self.choked = self.choked or link.choked
 
     def record(self) -> dict[str, Any]:
-        """As of any processor, and how it spent machine time."""
-        row = self.timed.nodes[0].tolist()
+        """The record of any processor, and how it spent machine time."""
+        row = dict(zip(CLOCK_RECORD.names or (), self.timed.nodes[0].tolist(), strict=True))
         machine = {
-            "served": row[PACKETS_SERVED],
-            "busy_ticks": row[BUSY],
-            "waited_ticks": row[WAITED],
-            "most_waiting": row[MOST_WAITING],
-            "walks": row[WALKED],
-            "ended_tick": row[ENDED],
-            "sent": row[PACKETS_SENT : PACKETS_SENT + PORTS],
-            "trace": row[TRACE],
+            "served": row["served"],
+            "busy_ticks": row["busy"],
+            "waited_ticks": row["waited"],
+            "most_waiting": row["most_waiting"],
+            "walks": row["walked"],
+            "ended_tick": row["ended"],
+            "sent": row["sent"][:PORTS].tolist(),
+            "trace": row["trace"],
         }
         return {**super().record(), "machine": machine}
 

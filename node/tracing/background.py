@@ -1,4 +1,4 @@
-"""Samples whose rays never enter the world box: they have no home. The host adds what they see.
+"""Adds what samples see whose rays never enter the world box: they have no home, so the host does it.
 
 Without visible lights that is the background for every sample that no home has counted, and nothing here is
 needed. Where a light can be seen, each such ray is looked at.

@@ -1,7 +1,7 @@
-"""A turn of a node: as many ray steps as are worth one look at the links, over what waits, the most urgent first.
+"""Runs a batch: as many ray steps as are worth one look at the links, over the packets that wait, the most urgent first.
 
-All in compiled code: between two looks at its links a node goes over its stacks in portions that stay in the
-processor's cache, and what a portion gives birth to for this node is served by the next one.
+All in compiled code: between two looks at its links a node goes over its work queues in portions that stay in the
+processor's cache, and what a portion spawns for this node is served by the next one.
 """
 
 from __future__ import annotations
@@ -19,20 +19,15 @@ from raygrid.node.tracing.work_queues import CLASSES, IN_TRANSIT, MOST, RAYS, SH
 PORTION = 2048  # packets in a call of the step
 BATCH_RAYS = 8192  # packets after which the links are looked at
 WORTHWHILE = 256  # packets for which a portion is worth more than serving classes strictly in order
-ADMIT_BELOW = 1024  # primaries are born only while fewer rays than this wait
+ADMIT_BELOW = 1024  # primaries are spawned only while fewer rays than this wait
 ADMIT_AT_ONCE = 2048
-# why a turn ended
-BATCH_IDLE, BATCH_LONG, BATCH_FULL, BATCH_CROWDED = (
-    0,
-    1,
-    2,
-    3,
-)  # nothing waits; TURN packets were served; an output, or a stack, is full
+# why a batch ended: nothing waits; as many packets were served as the tuning says; an output, or a stack, is full
+BATCH_IDLE, BATCH_LONG, BATCH_FULL, BATCH_CROWDED = 0, 1, 2, 3
 
 
 @part
 def _most_urgent(held):
-    """The class to serve next: the first with WORTHWHILE packets, else the first with any, else -1."""
+    """Choose the class to serve next: the first with WORTHWHILE packets, else the first with any, else -1."""
     for kind in range(CLASSES):
         if held[kind] >= WORTHWHILE:
             return kind
@@ -56,7 +51,7 @@ def _sink(packets, ports, first, done, held):
 
 @part
 def _take_own(outputs, output, packets, ports, held):
-    """Put what starts in this node on its stack; returns how many are there."""
+    """Move what starts in this node to its stack; returns how many are there."""
     many = outputs.held[output]
     row, to = outputs.data[output], held * SIZE
     copy_bytes(row, HEAD, packets, to, many * SIZE)
@@ -71,10 +66,10 @@ def run_batch(cell, space, frame, surfaces, pixels, cursor, quota, tuning, stack
     """Serve what waits until nothing does or one of the reasons above. Returns (quota left, why it ended, packets
     served).
 
-    quota   primaries that may be born
+    quota   primaries that may be spawned
     tuning  a record with batch_packets (after which it ends), admit_below (rays that wait, below which primaries are
             spawned) and admit_at_once (how many primaries)
-    stacks  `backlog.Stacks`; held: int64 (CLASSES + 1,), updated
+    stacks  `work_queues.Stacks`; held: int64 (CLASSES + 1,), updated
     The other arguments are those of `step` and `spawn_primaries`.
     """
     served = 0

@@ -1,7 +1,7 @@
-"""Primary rays: from a sample number to the packet of its ray, and to its home.
+"""Makes primary rays: from a sample number to the packet of its ray, and to its home.
 
 A sample's place in its pixel is a function of its number alone, so it needs no state and every node
-can work out every sample's home: the cell of the rounded point where the eye's ray enters the world box
+can work out every sample's home: the cell of the rounded point where its primary ray enters the world box
 (the rounded eye if that lies inside). The ray itself starts up to TRIES steps further on, where the
 lattice has a point nearer to it; that can be in another cell, to which it is then handed first.
 """
@@ -23,7 +23,7 @@ R2_X, R2_Y = 0.7548776662466927, 0.5698402909980532
 
 @part
 def hash32(x):
-    """A mixing of 32-bit numbers (the finaliser of MurmurHash3)."""
+    """Mix the bits of a 32-bit number (the finaliser of MurmurHash3)."""
     x = np.uint32(x)
     x = np.uint32((x ^ (x >> np.uint32(16))) * np.uint32(0x85EBCA6B))
     x = np.uint32((x ^ (x >> np.uint32(13))) * np.uint32(0xC2B2AE35))
@@ -73,7 +73,7 @@ def _slab(at, inv, half):
 
 @part
 def reach(step, origin, direction):
-    """(t, t): where a ray from the eye enters the world box, 0 if the eye is inside, and where it leaves."""
+    """(t, t): at which a primary ray enters the world box, 0 if the eye is inside, and leaves it."""
     near_x, far_x = _slab(origin[0], inverse(direction[0]), HALF * step[0])
     near_y, far_y = _slab(origin[1], inverse(direction[1]), HALF * step[1])
     near_z, far_z = _slab(origin[2], inverse(direction[2]), HALF * step[2])
@@ -82,7 +82,7 @@ def reach(step, origin, direction):
 
 @part
 def entry(step, origin, direction):
-    """(enters, (lattice point), t): where a ray from the eye enters the world box; its home is the cell of that point."""
+    """(enters, (lattice point), t) of a primary ray and the world box; its home is the cell of that point."""
     near, far = reach(step, origin, direction)
     point = (
         nearest(origin[0] + near * direction[0], step[0]),

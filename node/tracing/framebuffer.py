@@ -1,4 +1,4 @@
-"""A home's pixel store: integer sums of intensities, and which pixels it has room for.
+"""Stores the pixels of a home: integer sums of intensities, one span of columns a row.
 
 An intensity is a binary32; the store adds round(intensity * 2^24) as 64-bit integers, so the order in
 which packets come home cannot matter (law 4). Intensities above MAX_INTENSITY count as MAX_INTENSITY, so
@@ -29,7 +29,7 @@ MARGIN = 4  # lattice steps by which outlines are widened before they are projec
 NEAREST_DEPTH = 1e-12  # outlines are cut off this near to the eye's plane; no ray enters the world box nearer
 PARALLEL = 1e-6  # rays this near to a face may enter by it or by the next one
 
-Line = NDArray[np.int64]
+Columns = NDArray[np.int64]
 
 
 class Pixels(NamedTuple):
@@ -39,12 +39,12 @@ class Pixels(NamedTuple):
     first          int64 (rows,)
     offsets        int64 (rows + 1,), place of each row's span in `sums` and `samples`
     sums           int64 (pixels, 3), fixed point
-    samples        int64 (pixels,), how many samples were born for the pixel
+    samples        int64 (pixels,), how many samples were spawned for the pixel
     """
 
     first_row: int
-    first: Line
-    offsets: Line
+    first: Columns
+    offsets: Columns
     sums: NDArray[np.int64]
     samples: NDArray[np.int64]
 
@@ -91,7 +91,7 @@ def make_pixels(frame: Frame, space: Space, cell: Cell, before: Pixels | None = 
     return Pixels(begin, first[begin:end].copy(), offsets, sums, samples)
 
 
-def _outline(frame: Frame, space: Space, cell: Cell, first: Line, last: Line) -> None:
+def _outline(frame: Frame, space: Space, cell: Cell, first: Columns, last: Columns) -> None:
     """Widen the spans first..last until they cover every pixel that a sample at home here can have."""
     eye, along = frame.camera[0], frame.camera[3:]
     perspective = not frame.camera[1:3].any()
@@ -110,8 +110,8 @@ def _outline(frame: Frame, space: Space, cell: Cell, first: Line, last: Line) ->
             return
     else:
         corners = _corners(low, high)
-        ahead = ((corners - eye) @ inverse)[:, 0]
-        if ahead.min() <= 0.0 <= ahead.max():  # rays begin in this cell
+        depths = ((corners - eye) @ inverse)[:, 0]
+        if depths.min() <= 0.0 <= depths.max():  # rays begin in this cell
             _add_outline(corners, eye, inverse, False, first, last, frame.width)
             return
     for axis in range(3):
@@ -144,8 +144,8 @@ def _add_outline(
     eye: NDArray[np.float64],
     inverse: NDArray[np.float64],
     perspective: bool,
-    first: Line,
-    last: Line,
+    first: Columns,
+    last: Columns,
     width: int,
 ) -> None:
     """Project points, and widen the spans over what they enclose, a pixel and a half to each side."""

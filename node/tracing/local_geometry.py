@@ -1,4 +1,4 @@
-"""What one node retains, and the tables that the ray step reads, built from it.
+"""Builds the tables that the ray step reads from the surfaces that one node retains.
 
 Everything derived here is a function of the description alone (never of the cell), so two nodes that
 hold the same surface test it with the same numbers. Only boxes in the hierarchy are cut to the cell.
@@ -35,11 +35,10 @@ from raygrid.node.geometry.intersect import (
 from raygrid.node.geometry.lattice import SLACK, Cell
 from raygrid.node.geometry.quaternion import rotation_matrices
 from raygrid.node.geometry.surface_tables import KIND_SHIFT, Surfaces
-from raygrid.node.geometry.surfaces import STORED_AS, STRIDE, AddedKind, AnyKind, Batch, Kind, SurfaceSet
+from raygrid.node.geometry.surfaces import F64, STORED_AS, STRIDE, AddedKind, AnyKind, Batch, Kind, SurfaceSet
 from raygrid.node.jit.decorators import kernel
 from raygrid.node.protocol.packets import SHORTEST
 
-F64 = NDArray[np.float64]
 MOST_BINS = 1024  # strips of a polygon's height
 
 
@@ -102,7 +101,7 @@ def _newell(points, first, last):
 
 @kernel
 def _count_in_bins(points, first, last, v, low, scale, bins):
-    """How many entries the lists of all strips have together."""
+    """Count the entries of the lists of all strips together."""
     total = 0
     for k in range(first, last):
         after = k + 1 if k + 1 < last else first

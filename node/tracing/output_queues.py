@@ -1,7 +1,7 @@
-"""Where a step writes: packets that are handed on, births, returns to their homes, intensities that are at home here.
+"""Queues what a step writes: packets handed on, spawned rays, returns to their homes, intensities that are at home here.
 
-Births and returns are noted first and written many at once (`node.tracing.spawn`, `node.tracing.primary_rays`): `write_all_noted`
-must be the end of a step.
+Spawned rays and returns are noted first and written many at once (`node.tracing.spawn`, `node.tracing.primary_rays`):
+`write_all_noted` must be the end of a step.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
@@ -44,15 +44,15 @@ from raygrid.node.tracing.spawn import (
 
 
 class Outputs(NamedTuple):
-    """Where a step writes: bytes uint8 (OUTPUTS, HEAD + room * SIZE), packets held int64 (OUTPUTS,), and scratch.
+    """Output queues and scratch of a step: bytes uint8 (OUTPUTS, HEAD + room * SIZE), packets held int64 (OUTPUTS,).
 
-    stack  int64, keys of the hierarchy; ahead  rays that are set up; newborn, seen  births that are noted
+    stack  int64, keys of the hierarchy; setup  rays that are set up; spawns, seen  rays to be spawned, and samples, noted
     """
 
     data: NDArray[np.uint8]
     held: NDArray[np.int64]
     stack: NDArray[np.int64]
-    ahead: RaySetup
+    setup: RaySetup
     spawns: SpawnBatch
     seen: PrimaryBatch
 
@@ -78,7 +78,7 @@ def clear(outputs: Outputs) -> None:
 
 @part
 def _claim(outputs, output, counts):
-    """Bytes of the next free packet of an output, and where it begins in them."""
+    """Claim the next free packet of an output: its bytes, and the place in them at which it begins."""
     output = output & 15
     at = HEAD + outputs.held[output] * SIZE
     outputs.held[output] += 1
@@ -88,6 +88,7 @@ def _claim(outputs, output, counts):
 
 @part
 def hand_on(packets, at, output, outputs, counts):
+    """Copy a packet to an output."""
     row, to = _claim(outputs, output, counts)
     copy_packet(packets, at, row, to)
 
@@ -109,7 +110,7 @@ def hand_on_all(packets, first, numbers, begin, many, ways, outputs, counts):
 
 @part
 def give_back(cell, space, frame, pixels, sample, depth, red, green, blue, outputs, counts):
-    """Bear a return packet, unless it would bring nothing; all are written if there is room to note no more."""
+    """Spawn a return packet, unless it would bring nothing; all are written if there is room to note no more."""
     intensity = (np.float32(red), np.float32(green), np.float32(blue))
     if not (intensity[0] > 0.0 or intensity[1] > 0.0 or intensity[2] > 0.0):
         return
@@ -150,7 +151,7 @@ def keep(pixels, pixel, intensity, counts):
 
 @part
 def emit(cell, space, spawn_batch, kind, sample, depth, light, p, g, d, weight, outputs, counts):
-    """Note a birth, and write all that are noted if there is room for no more."""
+    """Note a ray to be spawned, and write all that are noted if there is room for no more."""
     counts[BORN + kind] += 1
     head = kind | (depth << 3) | (sample << 8)
     if note(outputs.spawns, spawn_batch, head, light, p, g, d, weight):
@@ -159,7 +160,7 @@ def emit(cell, space, spawn_batch, kind, sample, depth, light, p, g, d, weight, 
 
 @part
 def _write_spawned(cell, space, spawn_batch, outputs, counts):
-    """Put all births of a brood that are noted on the outputs."""
+    """Put all rays of a spawn batch on the outputs."""
     spawns = outputs.spawns
     work_out(cell, space, spawns, spawn_batch)
     for j in range(spawns.held[spawn_batch]):
@@ -184,13 +185,13 @@ def write_all_noted(cell, space, frame, pixels, outputs, counts):
 
 @part
 def noted(outputs):
-    """Packets that are noted: they may all go to one output."""
+    """Count the packets that are noted: they may all go to one output."""
     return outputs.spawns.held[SHADOW_BATCH] + outputs.spawns.held[RAY_BATCH] + outputs.seen.held[0]
 
 
 @part
 def fullest(held):
-    """Packets held by the fullest output."""
+    """Count the packets of the fullest output."""
     most = np.int64(0)
     for k in range(len(held)):
         most = max(most, held[k])

@@ -1,4 +1,4 @@
-"""Primary rays are born at their homes, coarse to fine, so that an unfinished frame is a usable preview.
+"""Spawns primary rays at their homes, coarse to fine, so that an unfinished frame is a usable preview.
 
 Order: sample 0 of every pixel, then sample 1, and so on; within a sample number the pixels whose row and
 column are multiples of 8, then of 4, of 2, and the rest; within a level row by row. Each home goes over the
@@ -41,7 +41,8 @@ def new_cursor(has_pixels: bool) -> np.ndarray:
 def spawn_primaries(cell, space, frame, pixels, cursor, packets, first, room, seen, counts):
     """Write up to `room` primary rays to `packets` (uint8) from packet number `first`; returns how many.
 
-    `cursor` keeps the place between calls; cursor[DONE] is 1 when no sample is left. `seen`: scratch (`node.tracing.primary_rays`).
+    `cursor` keeps the place between calls; cursor[DONE] is 1 when no sample is left.
+    `seen`: scratch (`node.tracing.primary_rays`).
     """
     made = 0
     while made < room and cursor[DONE] == 0:
@@ -114,7 +115,7 @@ def _next_level(frame, cursor):
 
 @part
 def spawn_sample(cell, space, frame, pixels, i, j, place, number, packet, seen):
-    """As `spawn_primary`, of a pixel at this place in the store, and uncounted."""
+    """Do as `spawn_primary`, of a pixel at this place in the store, and uncounted."""
     _note(frame, i, j, place, number, seen)
     return _spawn_noted(cell, space, frame, pixels, packet, 0, seen)
 

@@ -1,4 +1,4 @@
-"""Rays from the eye, eight at once: primaries that may be born, and the homes of return packets.
+"""Works out primary rays, eight at once: those that may be spawned, and the homes of return packets.
 
 Both begin with the ray of a sample and the point at which it enters the world box. The operations, and their order,
 are those of `camera.eye_ray`, `camera.entry`, `camera.primary_origin` and `packets.put_ray`: so are the bits, which a
@@ -11,7 +11,7 @@ test compares.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba.core import types
@@ -26,11 +26,25 @@ from raygrid.node.tracing.camera import R2_X, R2_Y, TRIES
 from raygrid.node.tracing.ray_setup import behind, corners, inverse_eight
 from raygrid.node.tracing.spawn import nearest_eight, next_on_lattice, put_made, rest_of_ray, words_of
 
+if TYPE_CHECKING:
+    from raygrid.node.jit.code_types import (
+        BaseContext,
+        Intrinsic,
+        IRBuilder,
+        Signature,
+        Type,
+        Typed,
+        TypingContext,
+        Value,
+        Values,
+    )
+
+
 PRIMARY_ROOM = 128  # samples that are noted before they are worked out; a multiple of EIGHT
 # rows of `facts`: of a primary the point in the image; of a return its intensity
 IMAGE_X, IMAGE_Y, RETURN_INTENSITY, PRIMARY_FACTS = 0, 1, 2, 5
 # rows of `words`: the first five bytes of a packet, the place in the store of its pixel; then of a primary the packet's
-# words (`newborn.words_of`), and the ports behind which it enters, or a number below 0; of a return the point where its
+# words (`spawn.words_of`), and the ports behind which it enters, or a number below 0; of a return the point where its
 # sample's ray enters, and column and row of its pixel
 PRIMARY_HEAD, PRIMARY_PLACE = 0, 1
 PRIMARY_WORD, PRIMARY_BEHIND, PRIMARY_POINT, PRIMARY_PIXEL, PRIMARY_WORDS = 2, 6, 2, 5, 7
@@ -42,7 +56,7 @@ CAMERA_COLUMNS = 18  # numbers of a camera
 class PrimaryBatch(NamedTuple):
     """Samples that are noted, a column each; flat.
 
-    facts  float64 (PRIMARY_FACTS * LOT,); words  int64 (PRIMARY_WORDS * LOT,); held  int64 (1,)
+    facts  float64 (PRIMARY_FACTS * PRIMARY_ROOM,); words  int64 (PRIMARY_WORDS * PRIMARY_ROOM,); held  int64 (1,)
     """
 
     facts: NDArray[np.float64]
@@ -51,7 +65,7 @@ class PrimaryBatch(NamedTuple):
 
 
 def make_primary_batch() -> PrimaryBatch:
-    """No samples."""
+    """Make an empty batch."""
     return PrimaryBatch(
         np.zeros(PRIMARY_FACTS * PRIMARY_ROOM), np.zeros(PRIMARY_WORDS * PRIMARY_ROOM, np.int64), np.zeros(1, np.int64)
     )
@@ -62,7 +76,7 @@ def make_primary_batch() -> PrimaryBatch:
 
 @part
 def note_primary(seen, x, y, sample, place):
-    """Note a sample whose ray may be born; `place`: of its pixel in the store."""
+    """Note a sample whose ray may be spawned; `place`: of its pixel in the store."""
     j = seen.held[0] & (PRIMARY_ROOM - 1)
     seen.facts[IMAGE_X * PRIMARY_ROOM + j], seen.facts[IMAGE_Y * PRIMARY_ROOM + j] = x, y
     seen.words[PRIMARY_HEAD * PRIMARY_ROOM + j], seen.words[PRIMARY_PLACE * PRIMARY_ROOM + j] = (
@@ -81,7 +95,7 @@ def work_out_primaries(cell, space, frame, seen):
 
 @part
 def is_at_home(seen, j):
-    """Whether the ray of a sample that was worked out enters the world box in this cell."""
+    """Tell whether the ray of a sample that was worked out enters the world box in this cell."""
     return seen.words[PRIMARY_BEHIND * PRIMARY_ROOM + j] == 0
 
 
@@ -96,7 +110,7 @@ def put_primary(seen, j, row, at):
 
 @part
 def note_return(seen, frame, sample, depth, intensity):
-    """Note a return packet to be born; whether there is room for no more."""
+    """Note a return packet to be spawned; returns whether there is room for no more."""
     j = seen.held[0] & (PRIMARY_ROOM - 1)
     for k in range(3):
         seen.facts[(RETURN_INTENSITY + k) * PRIMARY_ROOM + j] = intensity[k]
@@ -216,7 +230,9 @@ def _beside_ray(p: list[Lanes], d: list[Lanes], step: list[Lanes]) -> list[Lanes
     return [nearest_eight(p[axis] + t * d[axis], step[axis]) for axis in range(3)]
 
 
-def _tables(context: Any, builder: Any, signature: Any, args: Any) -> tuple[Table, Table, list[Lanes], list[Lanes]]:
+def _tables(
+    context: BaseContext, builder: IRBuilder, signature: Signature, args: Values
+) -> tuple[Table, Table, list[Lanes], list[Lanes]]:
     """Facts, words, camera and step among the arguments of an intrinsic."""
     facts, words = (Table(context, builder, signature.args[k], args[k], args[2], PRIMARY_ROOM) for k in range(2))
     camera = context.make_array(signature.args[3])(context, builder, args[3]).data
@@ -224,10 +240,12 @@ def _tables(context: Any, builder: Any, signature: Any, args: Any) -> tuple[Tabl
     return facts, words, [splat(builder, number) for number in numbers], splats(builder, args[4])
 
 
-def _make_primary_words(typingctx: Any, facts: Any, words: Any, at: Any, camera: Any, step: Any, edges: Any) -> Any:
+def _make_primary_words(
+    typingctx: TypingContext, facts: Type, words: Type, at: Type, camera: Type, step: Type, edges: Type
+) -> Typed:
     """Make the words of eight primaries, columns at..at+7; camera  float64 (6, 3); edges  six int32, the cell's corners."""
 
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+    def codegen(context: BaseContext, builder: IRBuilder, signature: Signature, args: Values) -> Value:
         known, made, numbers, steps = _tables(context, builder, signature, args)
         origin, d = _eye_ray(numbers, known.read(IMAGE_X), known.read(IMAGE_Y))
         enters, point, start = _entry(origin, d, steps)
@@ -242,13 +260,15 @@ def _make_primary_words(typingctx: Any, facts: Any, words: Any, at: Any, camera:
     return types.void(facts, words, types.int64, camera, *tuples), codegen
 
 
-def _make_entries(typingctx: Any, facts: Any, words: Any, at: Any, camera: Any, step: Any, sizes: Any) -> Any:
+def _make_entries(
+    typingctx: TypingContext, facts: Type, words: Type, at: Type, camera: Type, step: Type, sizes: Type
+) -> Typed:
     """Find the pixels of eight samples and where their rays enter the world box, columns at..at+7.
 
     camera  float64 (6, 3); sizes  two float64, width of the picture and samples a pixel
     """
 
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+    def codegen(context: BaseContext, builder: IRBuilder, signature: Signature, args: Values) -> Value:
         _, made, numbers, steps = _tables(context, builder, signature, args)
         pixel, image = _image_point(made.read(PRIMARY_HEAD) & 0xFFFFFFFF, *splats(builder, args[5]))
         origin, direction = _eye_ray(numbers, *image)
@@ -264,5 +284,5 @@ def _make_entries(typingctx: Any, facts: Any, words: Any, at: Any, camera: Any, 
 
 
 # kernels call them without the first argument
-_primary_words: Any = intrinsic(_make_primary_words)
-_entries: Any = intrinsic(_make_entries)
+_primary_words: Intrinsic = intrinsic(_make_primary_words)
+_entries: Intrinsic = intrinsic(_make_entries)

@@ -1,10 +1,10 @@
-"""Rays and shadow rays set up eight at once: what is known of them before any surface is looked at.
+"""Sets up rays and shadow rays eight at once: works out what is known of them before any surface is looked at.
 
 A search for hits ends in branches that no processor foresees, and each would wait for the root and the quotients of
 its own ray. Here there is no branch, and one instruction works on eight rays (AVX-512; elsewhere on four or two).
 
-The operations, and their order, are those of `packets.unit_vector`, `shading.light_direction`, `walk.passage` and
-`walk.is_walking`: so are the bits, which a test compares.
+The operations, and their order, are those of `packets.unit_vector`, `shading.light_direction`, `grid_walk.passage` and
+`grid_walk.is_walking`: so are the bits, which a test compares.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
@@ -13,7 +13,7 @@ The operations, and their order, are those of `packets.unit_vector`, `shading.li
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba.core import types
@@ -31,16 +31,30 @@ from raygrid.node.protocol.frame_tables import LIGHT_PLACE as LIGHT_PLACE
 from raygrid.node.protocol.packets import HALF_DIRECTION, SIZE, read_u64
 from raygrid.node.tracing.traverse import FAREST
 
+if TYPE_CHECKING:
+    from raygrid.node.jit.code_types import (
+        BaseContext,
+        Intrinsic,
+        IRBuilder,
+        Signature,
+        Type,
+        Typed,
+        TypingContext,
+        Value,
+        Values,
+    )
+
+
 LISTS = 4
 SETUP_RAYS = 128  # rays that are set up before the first of them is looked for hits; a multiple of EIGHT
 SETUP_ROOM = SETUP_RAYS + EIGHT  # of a list: eight places are written at once
 NOT_AT_START = 8  # the way of a ray that has to go to the cell of its origin first
-# rows of Ahead.words: eight bytes of a packet each, that hold its origin, and the rest of it with the direction or light
+# rows of RaySetup.words: eight bytes of a packet each, that hold its origin, and the rest of it with the direction or light
 FRONT, BACK, SETUP_WORDS = 0, 1, 2
 FRONT_BYTE, BACK_BYTE = 5, 13  # where they begin in a packet
-# rows of Ahead.known: origin, direction, inverse direction, times of entry and exit, distance of the light
+# rows of RaySetup.known: origin, direction, inverse direction, times of entry and exit, distance of the light
 ORIGIN_COLUMN, DIRECTION_COLUMN, INVERSE_COLUMN, T_IN, T_OUT, DISTANCE, KNOWN = 0, 3, 6, 9, 10, 11, 12
-# rows of Ahead.singles, for boxes: origin, inverse direction, and the times between which they are looked for
+# rows of RaySetup.singles, for boxes: origin, inverse direction, and the times between which they are looked for
 BOX_PLACE, BOX_INVERSE, BOX_LOW, BOX_HIGH, SINGLES = 0, 3, 6, 7, 8
 
 
@@ -52,9 +66,9 @@ class RaySetup(NamedTuple):
     singles  float32 (SINGLES * SETUP_RAYS,), the same as boxes want it
     nears    int64 (3 * SETUP_RAYS,), words of a node at which each axis' near planes begin (`traverse.for_boxes`)
     ways     int64 (SETUP_RAYS,), exit ports, or NOT_AT_START
-    lists    int64 (LISTS * ROOM,), numbers of rays (`node.tracing.ray_classify`)
+    lists    int64 (LISTS * SETUP_ROOM,), numbers of rays (`node.tracing.ray_classify`)
     roots    int64 (SETUP_RAYS * WIDE,), keys of the root's boxes that each ray meets (`node.geometry.bvh_simd`)
-    met      int64 (SETUP_RAYS,), how many
+    met      int64 (SETUP_RAYS,), how many these are
     """
 
     words: NDArray[np.int64]
@@ -114,12 +128,12 @@ def _light_direction(_codes: list[Lanes], known: Table, places: list[Lanes]) -> 
 
 
 def inverse_eight(d: Lanes) -> Lanes:
-    """As `walk.inverse`."""
+    """As `grid_walk.inverse`."""
     return (abs(d) < 1.0 / HUGE).choose(HUGE, 1.0 / d)
 
 
 def _passage(places: list[Lanes], inverses: list[Lanes], bounds: list[Lanes]) -> tuple[Lanes, Lanes, Lanes]:
-    """As `walk.passage`."""
+    """As `grid_walk.passage`."""
     times = [
         ((bounds[axis] - places[axis]) * inverses[axis], (bounds[3 + axis] - places[axis]) * inverses[axis])
         for axis in range(3)
@@ -132,7 +146,7 @@ def _passage(places: list[Lanes], inverses: list[Lanes], bounds: list[Lanes]) ->
 
 
 def behind(origin: list[Lanes], corners: list[Lanes]) -> Lanes:
-    """Six bits, one a port: behind which of them the origin lies, as int32. The lowest is `walk.towards_start`."""
+    """Mark the ports behind which the origin lies, six bits as int32. The lowest is `grid_walk.towards_start`."""
     bits = [(at < corners[axis]).as_int() << (2 * axis) for axis, at in enumerate(origin)]
     bits += [(at >= corners[3 + axis]).as_int() << (2 * axis + 1) for axis, at in enumerate(origin)]
     low, high = (one[0] | one[1] | one[2] for one in (bits[:3], bits[3:]))
@@ -140,8 +154,8 @@ def behind(origin: list[Lanes], corners: list[Lanes]) -> Lanes:
 
 
 def _not_at_start(origin: list[Lanes], port: Lanes, corners: list[Lanes]) -> Lanes:
-    """Which have to go to the cell of their origin first: those behind a port, unless they came by one of these ports
-    (`walk.is_walking`)."""
+    """Choose the rays that have to go to the cell of their origin first: those behind a port, unless they came by one of
+    these ports (`grid_walk.is_walking`)."""
     ports = behind(origin, corners)
     came_by_one = ports >> port & 1
     return (ports >= 1).lacks(came_by_one >= 1)
@@ -157,29 +171,29 @@ def _for_boxes(inverses: list[Lanes]) -> tuple[list[Lanes], list[Lanes]]:
     return narrow, nears
 
 
-def _set_up(direction_of: Callable[..., tuple[list[Lanes], Lanes | None]]) -> Any:
-    """The intrinsic that sets up eight rays whose directions are found like this."""
+def _set_up(direction_of: Callable[..., tuple[list[Lanes], Lanes | None]]) -> Intrinsic:
+    """Make the intrinsic that sets up eight rays whose directions are found like this."""
 
     def intrinsic_function(
-        typingctx: Any,
-        words: Any,
-        ports: Any,
-        known: Any,
-        singles: Any,
-        nears: Any,
-        ways: Any,
-        at: Any,
-        step: Any,
-        bounds: Any,
-        corners: Any,
-    ) -> Any:
+        typingctx: TypingContext,
+        words: Type,
+        ports: Type,
+        known: Type,
+        singles: Type,
+        nears: Type,
+        ways: Type,
+        at: Type,
+        step: Type,
+        bounds: Type,
+        corners: Type,
+    ) -> Typed:
         """Set up the rays of columns at..at+7 of the tables of `RaySetup`.
 
         step    three float64
         bounds  six float64, the cell's low and high planes; corners  the same on the lattice, six int32
         """
 
-        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        def codegen(context: BaseContext, builder: IRBuilder, signature: Signature, args: Values) -> Value:
             tables = [Table(context, builder, signature.args[k], args[k], args[6], SETUP_RAYS) for k in range(6)]
             _write_all(direction_of, tables, *(splats(builder, packed) for packed in args[7:]))
             return context.get_dummy_value()
@@ -224,15 +238,15 @@ def _write_all(
 
 
 # kernels call them without the first argument
-_rays: Any = _set_up(_unit_vector)
-_shadows: Any = _set_up(_light_direction)
+_rays: Intrinsic = _set_up(_unit_vector)
+_shadows: Intrinsic = _set_up(_light_direction)
 
 
 @part
-def read_prepared(frame, packets, ports, first, last, shadows, ahead):
+def read_prepared(frame, packets, ports, first, last, shadows, setup):
     """Read what packets first..last-1, at most SETUP_RAYS and all of shadow rays or none, say of their rays."""
-    words, known = ahead.words, ahead.known
-    copy_bytes(ports, first, ahead.ports, 0, last - first)
+    words, known = setup.words, setup.known
+    copy_bytes(ports, first, setup.ports, 0, last - first)
     for k in range(first, last):
         at, j = k * SIZE, k - first
         words[FRONT * SETUP_RAYS + j] = read_u64(packets, at + FRONT_BYTE)
@@ -259,9 +273,9 @@ def corners(cell):
 
 
 @part
-def set_up_rays(cell, space, many, shadows, ahead):
+def set_up_rays(cell, space, many, shadows, setup):
     """Set up the rays that were read."""
-    words, ports, known, singles, nears, ways = ahead[:6]
+    words, ports, known, singles, nears, ways = setup[:6]
     bounds = (*cell.low_at, *cell.high_at)
     if shadows:
         for j in range(0, many, EIGHT):
@@ -272,11 +286,11 @@ def set_up_rays(cell, space, many, shadows, ahead):
 
 
 @part
-def column(ahead, j):
+def column(setup, j):
     """A ray that was set up: (way, origin, direction, inverse direction, t_in, t_out, distance), as `step._set_up`."""
-    known = ahead.known
+    known = setup.known
     return (
-        ahead.ways[j],
+        setup.ways[j],
         (
             known[ORIGIN_COLUMN * SETUP_RAYS + j],
             known[(ORIGIN_COLUMN + 1) * SETUP_RAYS + j],
@@ -299,9 +313,9 @@ def column(ahead, j):
 
 
 @part
-def boxes_of(ahead, j):
+def boxes_of(setup, j):
     """(ray, near planes) of a ray that was set up, as `traverse.for_boxes` gives them."""
-    singles, nears = ahead.singles, ahead.nears
+    singles, nears = setup.singles, setup.nears
     ray = (
         singles[BOX_PLACE * SETUP_RAYS + j],
         singles[(BOX_PLACE + 1) * SETUP_RAYS + j],
@@ -314,17 +328,17 @@ def boxes_of(ahead, j):
 
 
 @part
-def open_root_of(surfaces, ahead, j):
-    """Find the boxes of the hierarchy's root that a ray meets; how many. There must be a root."""
-    ray, near = boxes_of(ahead, j)
-    low, high = ahead.singles[BOX_LOW * SETUP_RAYS + j], ahead.singles[BOX_HIGH * SETUP_RAYS + j]
-    met = push_boxes(surfaces.floats, np.int64(0), near, ray, low, high, ahead.roots, j * WIDE)
-    ahead.met[j] = met
+def open_root_of(surfaces, setup, j):
+    """Find the boxes of the hierarchy's root that a ray meets; returns how many. There must be a root."""
+    ray, near = boxes_of(setup, j)
+    low, high = setup.singles[BOX_LOW * SETUP_RAYS + j], setup.singles[BOX_HIGH * SETUP_RAYS + j]
+    met = push_boxes(surfaces.floats, np.int64(0), near, ray, low, high, setup.roots, j * WIDE)
+    setup.met[j] = met
     return met
 
 
 @part
-def take_root(ahead, j, stack):
-    """Put the keys of a ray on the stack of a walk; how many."""
-    copy_keys(ahead.roots, j * WIDE, stack, 0)
-    return ahead.met[j]
+def take_root(setup, j, stack):
+    """Put the keys of a ray on the stack of a walk; returns how many."""
+    copy_keys(setup.roots, j * WIDE, stack, 0)
+    return setup.met[j]

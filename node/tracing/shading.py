@@ -1,4 +1,4 @@
-"""What a hit gives birth to: normals, light, reflection and refraction (DESIGN section 5).
+"""Shades a hit: normals, light, reflection and refraction, from which rays are spawned (DESIGN section 5).
 
 With N the unit normal turned against the incoming unit direction D, L the unit vector to a light of
 intensity I, and w the weight of the incoming ray:
@@ -146,7 +146,7 @@ def refract(d, n, cosine, ratio):
 
 @part
 def light_discs(frame, d, red, green, blue):
-    """What a ray that leaves the scene in direction d sees before this background: itself, or the disc of a light."""
+    """Colour of a ray that leaves the scene in direction d before this background: its own, or that of a light's disc."""
     if frame.discs:
         lights = frame.lights
         for light in range(frame.n_lights):

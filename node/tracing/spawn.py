@@ -1,8 +1,8 @@
-"""Secondary rays and shadow rays on their way into the world: noted when a hit bears them, written eight at once.
+"""Spawns secondary rays and shadow rays: notes them at a hit, and works out their packets eight at once.
 
-What a hit gives birth to depends on branches that no processor foresees; where the newborn starts on the lattice, how
+Which rays a hit spawns depends on branches that no processor foresees; where a spawned ray starts on the lattice, how
 its direction and weight are packed and which bytes that makes does not, but for a dozen quotients, roots and roundings
-each. So a step only notes a birth, and when it has gone over its packets all births are worked out without a branch.
+each. So a step only notes a ray, and when it has gone over its packets all rays are worked out without a branch.
 
 The operations, and their order, are those of `origin_beside`, `packets.octahedral`, `packets.put_ray` and
 `packets.put_shadow`: so are the bytes, which a test compares.
@@ -14,7 +14,8 @@ The operations, and their order, are those of `origin_beside`, `packets.octahedr
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba.core import types
@@ -35,7 +36,21 @@ from raygrid.node.protocol.packets import (
 )
 from raygrid.node.tracing.ray_setup import behind, corners
 
-SPAWN_ROOM = 128  # births that are noted before they are written; a multiple of EIGHT
+if TYPE_CHECKING:
+    from raygrid.node.jit.code_types import (
+        BaseContext,
+        Intrinsic,
+        IRBuilder,
+        Signature,
+        Type,
+        Typed,
+        TypingContext,
+        Value,
+        Values,
+    )
+
+
+SPAWN_ROOM = 128  # rays that are noted before they are written; a multiple of EIGHT
 SHADOW_BATCH, RAY_BATCH, SPAWN_BATCHES = 0, 1, 2
 # rows of `facts`: point, normal, direction, weight
 SPAWN_POINT, SPAWN_NORMAL, SPAWN_DIRECTION, SPAWN_WEIGHT, SPAWN_FACTS = 0, 3, 6, 9, 12
@@ -46,10 +61,11 @@ SPAWN_WORD, SPAWN_BEHIND, SPAWN_WORDS = 0, 4, 5
 
 
 class SpawnBatch(NamedTuple):
-    """Births that are noted: shadow rays, then other rays, a column each; flat.
+    """Rays that are noted to be spawned: shadow rays, then other rays, a column each; flat.
 
-    facts  float64 (SPAWN_BATCHES * SPAWN_FACTS * SPAWN_ROOM,); words  int64 (SPAWN_BATCHES * SPAWN_WORDS * SPAWN_ROOM,)
-    held   int64 (SPAWN_BATCHES,)
+    facts  float64 (SPAWN_BATCHES * SPAWN_FACTS * SPAWN_ROOM,)
+    words  int64 (SPAWN_BATCHES * SPAWN_WORDS * SPAWN_ROOM,)
+    held   int64 (SPAWN_BATCHES,), how many there are
     """
 
     facts: NDArray[np.float64]
@@ -58,7 +74,7 @@ class SpawnBatch(NamedTuple):
 
 
 def make_spawn_batch() -> SpawnBatch:
-    """No births."""
+    """Make empty batches."""
     return SpawnBatch(
         np.zeros(SPAWN_BATCHES * SPAWN_FACTS * SPAWN_ROOM),
         np.zeros(SPAWN_BATCHES * SPAWN_WORDS * SPAWN_ROOM, np.int64),
@@ -68,7 +84,7 @@ def make_spawn_batch() -> SpawnBatch:
 
 @part
 def origin_beside(step, p, g, d):
-    """Lattice origin of a ray born at p: lifted off the surface to the side that it goes to, then rounded.
+    """Lattice origin of a ray spawned at p: lifted off the surface to the side that it goes to, then rounded.
 
     It is moved along itself, which changes nothing of what it sees. A ray that leaves at a grazing angle would have to
     go far, so it is lifted along the normal g by what is lacking. The definition, for one ray.
@@ -83,7 +99,7 @@ def origin_beside(step, p, g, d):
 
 @part
 def note(spawns, spawn_batch, head, light, p, g, d, weight):
-    """Note a birth; whether there is room for no more."""
+    """Note a ray to be spawned; returns whether there is room for no more."""
     j = spawns.held[spawn_batch] & (SPAWN_ROOM - 1)
     fact, word = spawn_batch * SPAWN_FACTS * SPAWN_ROOM + j, spawn_batch * SPAWN_WORDS * SPAWN_ROOM + j
     for axis in range(3):
@@ -98,7 +114,7 @@ def note(spawns, spawn_batch, head, light, p, g, d, weight):
 
 @part
 def work_out(cell, space, spawns, spawn_batch):
-    """Make the words of all that are noted of a brood."""
+    """Make the words of all that are noted in a spawn batch."""
     for j in range(0, spawns.held[spawn_batch], EIGHT):
         fact, word = spawn_batch * SPAWN_FACTS * SPAWN_ROOM + j, spawn_batch * SPAWN_WORDS * SPAWN_ROOM + j
         if spawn_batch == SHADOW_BATCH:
@@ -109,13 +125,13 @@ def work_out(cell, space, spawns, spawn_batch):
 
 @part
 def starts_behind(spawns, spawn_batch, j):
-    """Six bits: the ports behind which a newborn starts."""
+    """Six bits: the ports behind which a spawned ray starts."""
     return spawns.words[(spawn_batch * SPAWN_WORDS + SPAWN_BEHIND) * SPAWN_ROOM + j]
 
 
 @part
 def put(spawns, spawn_batch, j, row, at):
-    """Write the packet of a newborn that was worked out."""
+    """Write the packet of a spawned ray that was worked out."""
     put_made(spawns.words, (spawn_batch * SPAWN_WORDS + SPAWN_WORD) * SPAWN_ROOM + j, SPAWN_ROOM, row, at)
 
 
@@ -149,8 +165,8 @@ def _origins(facts: Table, direction: list[Lanes], step: list[Lanes]) -> list[La
 
 
 def next_on_lattice(places: list[Lanes], speeds: list[Lanes], d: list[Lanes], step: list[Lanes]) -> tuple[Lanes, Lanes]:
-    """Of the axis that is worth most on the lattice, as in `lattice.beside_ray`: when the ray next has a coordinate of it
-    on the lattice, and how fast it is, in steps."""
+    """(t, speed in steps) at which a ray next has a coordinate on the lattice, of the axis that is worth most there, as in
+    `lattice.beside_ray`."""
     worth = [(abs(d[axis]) >= SLOW).choose(abs(d[axis]) * step[axis], d[axis].every(0.0)) for axis in range(3)]
     by_x, by_y = worth[0] >= most(worth[1], worth[2]), worth[1] >= worth[2]
     place, speed = (by_x.choose(of[0], by_y.choose(of[1], of[2])) for of in (places, speeds))
@@ -221,16 +237,18 @@ def _of_shadow(facts: Table, words: Table, direction: list[Lanes]) -> Rest:
     return words.read(SPAWN_LIGHT), red | green << 24 | blue << 48, blue >> 16
 
 
-def _words(rest_of: Any) -> Any:
-    """The intrinsic that makes the words of eight packets of which the rest, from byte 14 on, is found like this."""
+def _words(rest_of: Callable[[Table, Table, list[Lanes]], Rest]) -> Intrinsic:
+    """Make the intrinsic that makes the words of eight packets whose rest, from byte 14 on, is found like this."""
 
-    def intrinsic_function(typingctx: Any, facts: Any, words: Any, fact: Any, word: Any, step: Any, edges: Any) -> Any:
+    def intrinsic_function(
+        typingctx: TypingContext, facts: Type, words: Type, fact: Type, word: Type, step: Type, edges: Type
+    ) -> Typed:
         """Make the words of eight packets, whose columns begin at place `fact` of the facts and `word` of the words.
 
         step  three float64; edges  six int32, the cell's corners
         """
 
-        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        def codegen(context: BaseContext, builder: IRBuilder, signature: Signature, args: Values) -> Value:
             known = Table(context, builder, signature.args[0], args[0], args[2], SPAWN_ROOM)
             made = Table(context, builder, signature.args[1], args[1], args[3], SPAWN_ROOM)
             steps, cell = (splats(builder, packed) for packed in args[4:])
@@ -249,5 +267,5 @@ def _words(rest_of: Any) -> Any:
 
 
 # kernels call them without the first argument
-_ray_words: Any = _words(_of_ray)
-_shadow_words: Any = _words(_of_shadow)
+_ray_words: Intrinsic = _words(_of_ray)
+_shadow_words: Intrinsic = _words(_of_shadow)

@@ -1,4 +1,4 @@
-"""The ray step: what a node does with packets. A pure function of cell, surfaces, frame and packets.
+"""Takes the ray step: does with packets what a node has to. A pure function of cell, surfaces, frame and packets.
 
 Packets go in as 25-byte rows with the port by which each came; what comes out is written to one row of
 bytes an output (six ports, host, and what starts in this node), intensities that are at home here to the
@@ -75,14 +75,14 @@ WALKS_ON, SHADOWS_ON, SETTLES = 0, 1, 2
 
 @part
 def _spawn_ray(cell, space, frame, kind, depth, sample, p, g, d, weight, outputs, counts):
-    """Bear a reflected or refracted ray, unless it is too faint."""
+    """Spawn a reflected or refracted ray, unless it is too faint."""
     if max(weight[0], weight[1], weight[2]) > frame.min_weight:
         emit(cell, space, RAY_BATCH, kind, sample, depth, 0, p, g, d, weight, outputs, counts)
 
 
 @part
 def _spawn_shadows(cell, space, frame, material, depth, sample, p, g, n, mirror, weight, outputs, counts):
-    """Bear a shadow ray to each light that faces the surface; it carries what it will add."""
+    """Spawn a shadow ray to each light that faces the surface; it carries what it will add."""
     m = frame.materials
     for light in range(frame.n_lights):
         to_light, distance = light_direction(frame.lights, light, p)
@@ -104,7 +104,7 @@ def _spawn_shadows(cell, space, frame, material, depth, sample, p, g, n, mirror,
 
 @part
 def _shade(cell, space, frame, surfaces, packets, at, kind, o, d, t, item, u, v, outputs, counts):
-    """The incoming ray dies at a hit; what it gives birth to is put on the outputs."""
+    """Shade a hit, at which the incoming ray dies; the rays that it spawns are put on the outputs."""
     sample, depth = read_u32(packets, at + 1), read_depth(packets, at)
     weight = read_weight(packets, at)
     p = (o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2])
@@ -133,8 +133,8 @@ def _shade(cell, space, frame, surfaces, packets, at, kind, o, d, t, item, u, v,
             weight = (weight[0] * kt[0], weight[1] * kt[1], weight[2] * kt[2])
         else:  # total internal reflection: a reflected ray in its place, with the whole weight
             direction = mirror
-        born = REFRACTED if passes else REFLECTED
-        _spawn_ray(cell, space, frame, born, depth + 1, sample, p, g, direction, weight, outputs, counts)
+        spawned = REFRACTED if passes else REFLECTED
+        _spawn_ray(cell, space, frame, spawned, depth + 1, sample, p, g, direction, weight, outputs, counts)
 
 
 @part
@@ -151,14 +151,14 @@ def _at_edge(cell, space, frame, pixels, packets, at, kind, d, outputs, counts):
 
 @part
 def edge_colour(frame, d):
-    """What a ray that leaves the scene in direction d sees: the background, or the disc of a light."""
+    """Colour of a ray that leaves the scene in direction d: the background, or the disc of a light."""
     red, green, blue = frame.background
     return light_discs(frame, d, red, green, blue)
 
 
 @part
 def _set_up(cell, space, frame, packets, at, port, kind):
-    """What is known of a ray or shadow ray before any surface is looked at: (way, o, d, inv, t_in, t_out, distance).
+    """Set up a ray or shadow ray before any surface is looked at: (way, o, d, inv, t_in, t_out, distance).
 
     way  the exit port; NOT_AT_START for one that has to go to the cell of its origin first
     """
@@ -177,7 +177,7 @@ def _set_up(cell, space, frame, packets, at, port, kind):
 
 @part
 def _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, boxes, met, outputs, counts):
-    """A primary, reflected or refracted ray.
+    """Step a primary, reflected or refracted ray.
 
     ray  what `_set_up` gives; boxes  what `for_boxes` does; met  keys of the root on the stack
     """
@@ -201,7 +201,7 @@ def _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, boxe
 
 @part
 def _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, boxes, met, outputs, counts):
-    """A shadow ray: forgotten at the first surface, a return packet where it reaches its light."""
+    """Step a shadow ray: forgotten at the first surface, a return packet where it reaches its light."""
     way, o, d, _, t_in, t_out, distance = ray
     if way == NOT_AT_START:
         hand_on(packets, at, towards_start(cell, read_origin(packets, at)), outputs, counts)
@@ -241,7 +241,7 @@ def _keep(frame, pixels, packets, at, counts):
 
 @part
 def _settle(cell, space, frame, pixels, packets, at, kind, outputs, counts):
-    """A return packet, kept at its home, else handed on towards it; or a pixel packet."""
+    """Step a return packet, kept at its home, else handed on towards it; or a pixel packet."""
     if kind == RETURN:
         port = _way_home(cell, packets, at)
         if port == NO_PORT:
@@ -257,7 +257,7 @@ def _settle(cell, space, frame, pixels, packets, at, kind, outputs, counts):
 
 @part
 def step_one(cell, space, frame, surfaces, pixels, packets, at, port, outputs, counts):
-    """The ray step of one packet."""
+    """Take the ray step of one packet."""
     kind = read_kind(packets, at)
     if kind == RETURN or kind == PIXEL:
         _settle(cell, space, frame, pixels, packets, at, kind, outputs, counts)
@@ -276,30 +276,30 @@ def step_one(cell, space, frame, surfaces, pixels, packets, at, port, outputs, c
 
 
 @part
-def _what(kind):
-    """Which of the three sorts of steps a packet of this kind takes."""
+def _sort_of_step(kind):
+    """Number of the sort of step that a packet of this kind takes."""
     return np.int64(kind >= SHADOW) + np.int64(kind > SHADOW)
 
 
 @part
 def _alike(packets, first, last):
     """(sort of step of packet `first`, the first packet after it with another, or `last`)."""
-    what, others = _what(read_kind(packets, first * SIZE)), 0
+    what, others = _sort_of_step(read_kind(packets, first * SIZE)), 0
     for k in range(first + 1, last):  # nearly always there are none, and without a branch that is soon known
-        others |= _what(read_kind(packets, k * SIZE)) ^ what
+        others |= _sort_of_step(read_kind(packets, k * SIZE)) ^ what
     end = last
     if others != 0:
         end = first + 1
-        while _what(read_kind(packets, end * SIZE)) == what:
+        while _sort_of_step(read_kind(packets, end * SIZE)) == what:
             end += 1
     return what, end
 
 
 @part
 def _settle_each(cell, space, frame, pixels, packets, first, last, outputs, counts):
-    """The step of packets first..last-1, all of them returns or pixels: as `_settle`, those that go on before those that
-    are at home, without a branch for each."""
-    ways, lists = outputs.ahead.ways, outputs.ahead.lists
+    """Step packets first..last-1, all of them returns or pixels: as `_settle`, those that go on before those that are at
+    home, without a branch for each."""
+    ways, lists = outputs.setup.ways, outputs.setup.lists
     output, passing, ending = towards_corner_part(cell.index, space.shape), 0, 0
     for j in range(last - first):
         at = (first + j) * SIZE
@@ -316,19 +316,19 @@ def _settle_each(cell, space, frame, pixels, packets, first, last, outputs, coun
 
 @part
 def _step_each(cell, space, frame, surfaces, pixels, packets, first, many, shadows, marks, outputs, counts):
-    """The ray step of `many` packets from the first on, all of shadow rays or none, that are set up already.
+    """Take the ray step of `many` packets from the first on, all of shadow rays or none, that are set up already.
 
     marks  (box of all, ways that lead to no neighbour), see `node.tracing.ray_classify`
     """
-    ahead = outputs.ahead
-    passing, ending, searched = classify(surfaces, many, shadows, *marks, ahead)
+    setup = outputs.setup
+    passing, ending, searched = classify(surfaces, many, shadows, *marks, setup)
     counts[WALKS] += passing
     counts[BOXES] += passing if len(surfaces.floats) > 0 else 0
-    hand_on_all(packets, first, ahead.lists, PASSING * SETUP_ROOM, passing, ahead.ways, outputs, counts)
+    hand_on_all(packets, first, setup.lists, PASSING * SETUP_ROOM, passing, setup.ways, outputs, counts)
     for k in range(ending + searched):
-        j = unfinished(ahead, k, ending)
+        j = unfinished(setup, k, ending)
         at = (first + j) * SIZE
-        ray, boxes, met = column(ahead, j), boxes_of(ahead, j), take_root(ahead, j, outputs.stack)
+        ray, boxes, met = column(setup, j), boxes_of(setup, j), take_root(setup, j, outputs.stack)
         if shadows:
             _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, boxes, met, outputs, counts)
         else:
@@ -347,7 +347,7 @@ def step(cell, space, frame, surfaces, pixels, packets, ports, first, last, outp
     marks = (box_of_all(surfaces.floats), ends_of_array(cell.index, space.shape))
     k = first
     while True:
-        # so many packets cannot fill an output, whatever they give birth to: no need to look at each
+        # so many packets cannot fill an output, whatever they spawn: no need to look at each
         stop = min(last, k + min(SETUP_RAYS, (room - fullest(outputs.held) - noted(outputs)) // (frame.n_lights + 2)))
         if stop <= k:
             if noted(outputs) == 0:
@@ -359,7 +359,7 @@ def step(cell, space, frame, surfaces, pixels, packets, ports, first, last, outp
             _settle_each(cell, space, frame, pixels, packets, k, stop, outputs, counts)
         else:
             shadows = what == SHADOWS_ON
-            read_prepared(frame, packets, ports, k, stop, shadows, outputs.ahead)
-            set_up_rays(cell, space, stop - k, shadows, outputs.ahead)
+            read_prepared(frame, packets, ports, k, stop, shadows, outputs.setup)
+            set_up_rays(cell, space, stop - k, shadows, outputs.setup)
             _step_each(cell, space, frame, surfaces, pixels, packets, k, stop - k, shadows, marks, outputs, counts)
         k = stop

@@ -1,4 +1,4 @@
-"""A ray against all surfaces of a node: the closest hit, or any hit, within lower <= t < upper.
+"""Traverses the hierarchy: the closest hit of a ray with all surfaces of a node, or any, within lower <= t < upper.
 
 Ties in t go to the smallest surface id, so the answer does not depend on the hierarchy's shape. Every
 walk begins at the root with nothing remembered from other rays: how many boxes and surfaces it looks at is a
@@ -88,7 +88,7 @@ def _leaf(surfaces, child):
 @part
 def open_root(surfaces, keys, at, o, inv, lower, upper):
     """Put the keys of the root's boxes that a ray meets into `keys`, int64, from place `at` on (WIDE places are
-    overwritten); how many. There must be a root."""
+    overwritten); returns how many. There must be a root."""
     ray, near = for_boxes(o, inv)
     high = np.float32(min(upper, FAREST))
     return push_boxes(surfaces.floats, np.int64(0), near, ray, np.float32(lower), high, keys, at)
@@ -96,7 +96,7 @@ def open_root(surfaces, keys, at, o, inv, lower, upper):
 
 @part
 def closest(surfaces, stack, o, d, inv, lower, upper, counts):
-    """(t, item, u, v) of the first hit; item -1 if there is none. `stack`: scratch, int64 (hierarchy.DEPTH,)."""
+    """(t, item, u, v) of the first hit; item -1 if there is none. `stack`: scratch, int64 (bvh.DEPTH,)."""
     met = open_root(surfaces, stack, np.int64(0), o, inv, lower, upper)
     return closest_below(surfaces, stack, met, o, d, for_boxes(o, inv), lower, upper, counts)
 
@@ -143,7 +143,7 @@ def closest_below(surfaces, stack, met, o, d, boxes, lower, upper, counts):
 
 @part
 def blocked(surfaces, stack, o, d, inv, lower, upper, counts):
-    """Whether anything is hit within lower <= t < upper. In no order: sorting costs more than it saves (2 to 18 %)."""
+    """Tell whether anything is hit within lower <= t < upper. In no order: sorting costs more than it saves (2 to 18 %)."""
     met = open_root(surfaces, stack, np.int64(0), o, inv, lower, upper)
     return blocked_below(surfaces, stack, met, o, d, for_boxes(o, inv), lower, upper, counts)
 

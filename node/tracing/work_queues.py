@@ -1,6 +1,6 @@
-"""Packets that wait in a node: one stack a class, newest first out, so that deep rays go before young ones.
+"""Queues packets that wait in a node: one stack a class, newest first out, so that deep rays go before young ones.
 
-Classes in order of service: what only travels (returns and pixels), shadows, other rays.
+Classes in order of service: what is in transit only (returns and pixels), shadows, other rays.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def sort(message, count, port, bounds, stacks, held):
     """Check `count` packets of a message and put each on the stack of its class; (first bad one or -1, its fault).
 
     Packets of a class come in runs, as the neighbour's steps put them out.
-    bounds: int64, the fields of Limits; held: int64, packets on each stack, updated. Each stack has room for all.
+    bounds: int64, the fields of PacketLimits; held: int64, packets on each stack, updated. Each stack has room for all.
     """
     limits = PacketLimits(bounds[0], bounds[1], bounds[2], bounds[3], (bounds[4], bounds[5], bounds[6]))
     first = 0
@@ -124,7 +124,7 @@ class WorkQueues:
 
     @property
     def held(self) -> int:
-        """Packets that wait."""
+        """Count the packets that wait."""
         one, two, three, _ = self.count.tolist()
         return int(one + two + three)
 
@@ -155,11 +155,11 @@ class WorkQueues:
         self.count[:] = 0
 
     def set_limits(self, limits: PacketLimits) -> None:
-        """What packets of the frame may name."""
+        """Set what packets of the frame may name."""
         self.bounds = np.array([*limits[:4], *limits.shape], np.int64)
 
     def make_room(self, *more: int) -> None:
-        """Room for so many more packets of each class, by doubling."""
+        """Make room for so many more packets of each class, by doubling."""
         buffers = list(self.stacks)
         grown = False
         for kind, wanted in enumerate(more):

@@ -19,7 +19,6 @@ from raygrid.host.scene.load import load_scene
 from raygrid.host.scene.scene import Scene
 from raygrid.node.geometry.grid_walk import PORTS
 from raygrid.node.protocol.timestamps import prices_order
-from raygrid.node.timed.service_clock import BUSY, MOST_WAITING, PACKETS_SENT, PACKETS_SERVED, WAITED, WALKED
 from support import paths
 from support.render import SCENES, shared
 
@@ -61,8 +60,8 @@ def simulated(job: Job, cost: str | CostModel, search: str | None = None, **opti
 def books_of(done: Simulated) -> Books:
     """The books of a simulated frame."""
     phase = done.frames["middle"]
-    columns = (phase.column(field) for field in (BUSY, PACKETS_SERVED, WAITED, MOST_WAITING, WALKED))
-    sent = phase.nodes[:, PACKETS_SENT : PACKETS_SENT + PORTS]
+    columns = (phase.column(field) for field in ("busy", "served", "waited", "most_waiting", "walked"))
+    sent = phase.nodes["sent"][:, :PORTS]
     return Books(phase.ticks, *columns, sent, phase.trace, done.sums)
 
 

@@ -35,6 +35,7 @@ TESTED_ELSEWHERE: dict[str, dict[str, str]] = {
         "emulator.simulator.kernels": "emulator/simulator/test_simulator.py",
         "node.runtime.profile_kernel": "node/runtime/test_profile.py",
         "node.geometry.bvh_simd": "node/geometry/test_bvh.py",
+        "node.jit.code_types": "node/tracing/test_spawn.py",
         "node.jit.intrinsics": "node/protocol/test_packets.py",
         "node.jit.simd": "node/tracing/test_ray_setup.py",
         "node.programs.hooks": "node/programs/test_programs.py",

@@ -70,7 +70,7 @@ LEFT: dict[str, str] = {
     "emulator.processes.kernel_kinds": "fork server",
     "emulator.processes.node_processes": "fork server",
     "emulator.processes.stderr_log": "fork server",
-    "emulator.simulator.event_loop": "bear births gather order",
+    "emulator.simulator.event_loop": "bear births order",
     "emulator.simulator.sample_order": "bears order",
     "emulator.simulator.simulator": "bears births",
     "emulator.topology": "wired",
@@ -87,8 +87,7 @@ LEFT: dict[str, str] = {
     "host.service.listener": "backlog",
     "host.service.schedule": "turns",
     "node.links.link": "tally",
-    "node.protocol.messages": "enquiry tallied tally",
-    "node.protocol.timestamps": "promise promises",
+    "node.protocol.messages": "tallied tally",
     "node.runtime.event_loop": "drowsy naps tallied tally",
     "node.runtime.native_link_table": "tallies",
     "node.runtime.node_state": "backlog births",
@@ -96,13 +95,6 @@ LEFT: dict[str, str] = {
     "node.runtime.profile": "bear births",
     "node.runtime.reduction": "gather linger nap tallied tallies tally",
     "node.runtime.reduction_replies": "tallied tallies tally",
-    "node.timed.service_clock": "bear bears gather",
-    "node.timed.timed_processor": "enquiry gather nap promise promises",
-    "node.tracing.output_queues": "bear birth births brood",
-    "node.tracing.ray_classify": "astray",
-    "node.tracing.shading": "birth",
-    "node.tracing.spawn": "bears birth births brood newborn",
-    "node.tracing.step": "bear birth",
 }
 
 MODULES = read_modules(paths.ROOT)

@@ -35,7 +35,6 @@ from raygrid.node.geometry.surfaces import Kind, SurfaceSet
 from raygrid.node.protocol.counters import BORN, BOXES, COUNTS, HITS, SENT, TESTS, WALKS
 from raygrid.node.protocol.packets import PRIMARY, RETURN
 from raygrid.node.protocol.timestamps import Prices
-from raygrid.node.timed.service_clock import BUSY, PACKETS_SENT, WAITED
 
 pytestmark = pytest.mark.usefixtures("quick_records")
 CASES = [
@@ -114,9 +113,9 @@ def test_one_ray_at_zero_load(cells, by_processor):
     phase = traced((cells, 1, 1), 1, prices(by_processor))
     assert phase.ticks == PRIMARY_COST + (cells - 1) * (SERVICE + TRANSMIT + LATENCY) + LAST_SERVICE
     assert phase.total[TESTS] >= 0
-    assert phase.column(WAITED).sum() == 0
+    assert phase.column("waited").sum() == 0
     expected = PRIMARY_COST + SERVICE + by_processor * TRANSMIT
-    assert phase.nodes[0, BUSY] == (expected if cells > 1 else PRIMARY_COST + LAST_SERVICE)
+    assert phase.nodes[0]["busy"] == (expected if cells > 1 else PRIMARY_COST + LAST_SERVICE)
 
 
 def test_two_rays_meet_at_one_node():
@@ -126,8 +125,8 @@ def test_two_rays_meet_at_one_node():
     second = first + PRIMARY_COST + SERVICE
     assert second < first + LAST_SERVICE
     assert phase.ticks == first + 2 * LAST_SERVICE
-    assert phase.nodes[1, WAITED] == first + LAST_SERVICE - second
-    assert phase.nodes[0, WAITED] == 0
+    assert phase.nodes[1]["waited"] == first + LAST_SERVICE - second
+    assert phase.nodes[0]["waited"] == 0
 
 
 @pytest.mark.parametrize("rays", [2, 5, 9])
@@ -136,15 +135,15 @@ def test_a_full_link(rays):
     slow = 5000
     phase = traced((2, 1, 1), rays, prices(transmit=slow))
     assert phase.ticks == PRIMARY_COST + SERVICE + rays * slow + LATENCY + LAST_SERVICE
-    assert phase.nodes[0, PACKETS_SENT + 1] == rays
-    assert phase.nodes[1, WAITED] == 0
+    assert phase.nodes[0]["sent"][1] == rays
+    assert phase.nodes[1]["waited"] == 0
 
 
 def test_a_processor_that_moves_bytes_is_busy_meanwhile():
     rays, slow = 4, 5000
     phase = traced((2, 1, 1), rays, prices(1, transmit=slow))
-    assert phase.nodes[0, BUSY] == rays * (PRIMARY_COST + SERVICE + slow)
-    assert phase.ticks == phase.nodes[0, BUSY] + LATENCY + LAST_SERVICE
+    assert phase.nodes[0]["busy"] == rays * (PRIMARY_COST + SERVICE + slow)
+    assert phase.ticks == phase.nodes[0]["busy"] + LATENCY + LAST_SERVICE
 
 
 # --- phases, statistics, command -----------------------------------------------------------------

@@ -30,36 +30,33 @@ HEADER = bytes(HEAD)
 ticks = st.integers(0, LAST_TICK)
 
 
-def stamped(times, promise=9, frame=1, packets=None):
+def stamped(times, channel_clock=9, frame=1, packets=None):
     body = bytes(SIZE * len(times)) if packets is None else packets
-    return HEADER + pack_stamped(frame, promise, np.array(times, np.int64), body)
+    return HEADER + pack_stamped(frame, channel_clock, np.array(times, np.int64), body)
 
 
 def test_golden_bytes():
     assert stamped([3, 5], 0x0201, 7)[HEAD : HEAD + 28].hex() == (
         "07000000" "0102000000000000" "0300000000000000" "0500000000000000"
     )  # fmt: skip
-    lookahead_request = LookaheadRequest(7, NO, (1, 2, 0x304), 5, 6, 8)
-    assert (
-        pack_lookahead(lookahead_request).hex()
-        == "070000000201000200040305000000" + "0600000000000000" + "08" + "00" * 7
-    )
+    request = LookaheadRequest(7, NO, (1, 2, 0x304), 5, 6, 8)
+    assert pack_lookahead(request).hex() == "070000000201000200040305000000" + "0600000000000000" + "08" + "00" * 7
 
 
 @given(st.lists(st.integers(0, LAST_TICK - 1), min_size=1, max_size=20), ticks)
-def test_ticks_and_packets_come_out_as_they_went_in(times, promise):
+def test_ticks_and_packets_come_out_as_they_went_in(times, channel_clock):
     times.sort()
     packets = bytes(k % 251 for k in range(SIZE * len(times)))
-    message = stamped(times, promise, 3, packets)
+    message = stamped(times, channel_clock, 3, packets)
     read = read_stamped(message, len(times))
-    assert (read.frame, read.promise, read.ticks.tolist()) == (3, promise, times)
+    assert (read.frame, read.channel_clock, read.ticks.tolist()) == (3, channel_clock, times)
     assert message[read.at :] == packets
 
 
 @given(st.integers(ASK, NO), st.tuples(*[st.integers(0, 65535)] * 3), st.integers(0, 2**32 - 1), ticks, ticks)
-def test_enquiries_come_out_as_they_went_in(answer, origin, number, tick, promise):
-    lookahead_request = LookaheadRequest(2, answer, origin, number, tick, promise)
-    assert read_lookahead(HEADER + pack_lookahead(lookahead_request)) == lookahead_request
+def test_requests_come_out_as_they_went_in(answer, origin, number, tick, channel_clock):
+    request = LookaheadRequest(2, answer, origin, number, tick, channel_clock)
+    assert read_lookahead(HEADER + pack_lookahead(request)) == request
 
 
 @pytest.mark.parametrize(
@@ -71,8 +68,8 @@ def test_enquiries_come_out_as_they_went_in(answer, origin, number, tick, promis
         (stamped([2, 1]), 2),
         (stamped([-1]), 1),
         (stamped([LAST_TICK]), 1),
-        (stamped([1], promise=-1), 1),
-        (stamped([1], promise=LAST_TICK + 1), 1),
+        (stamped([1], channel_clock=-1), 1),
+        (stamped([1], channel_clock=LAST_TICK + 1), 1),
         (HEADER, 0),
     ],
 )
@@ -82,16 +79,16 @@ def test_bad_stamps_are_refused(message, count):
 
 
 @pytest.mark.parametrize("payload", [b"", bytes(30), bytes(32)])
-def test_enquiries_of_a_wrong_length_are_refused(payload):
-    with pytest.raises(ProtocolError, match="an enquiry came with"):
+def test_requests_of_a_wrong_length_are_refused(payload):
+    with pytest.raises(ProtocolError, match="a look-ahead request came with"):
         read_lookahead(HEADER + payload)
 
 
-@pytest.mark.parametrize("change", [{"answer": 3}, {"tick": -1}, {"promise": LAST_TICK + 1}])
-def test_bad_enquiries_are_refused(change):
-    lookahead_request = LookaheadRequest(1, ASK, (0, 0, 0), 1, 1, 1)._replace(**change)
-    with pytest.raises(ProtocolError, match="an enquiry came with answer"):
-        read_lookahead(HEADER + pack_lookahead(lookahead_request))
+@pytest.mark.parametrize("change", [{"answer": 3}, {"tick": -1}, {"channel_clock": LAST_TICK + 1}])
+def test_bad_lookahead_requests_are_refused(change):
+    request = LookaheadRequest(1, ASK, (0, 0, 0), 1, 1, 1)._replace(**change)
+    with pytest.raises(ProtocolError, match="a look-ahead request came with answer"):
+        read_lookahead(HEADER + pack_lookahead(request))
 
 
 @given(st.binary(max_size=200), st.integers(0, 5))

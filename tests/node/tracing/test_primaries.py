@@ -29,7 +29,7 @@ SPACES = {
 
 
 def born(frame: Frame, space: Space, index: Index, room: int = 10_000) -> tuple[list[bytes], Pixels, np.ndarray]:
-    """(packets in the order in which a node bears them, its pixel store, its counts)."""
+    """(packets in the order in which a node spawns them, its pixel store, its counts)."""
     cell = make_cell(space, index)
     pixels = make_pixels(frame, space, cell)
     cursor, counts, found = new_cursor(len(pixels.first) > 0), np.zeros(COUNTS, np.int64), []
@@ -168,7 +168,7 @@ def test_one_sample_lies_in_the_middle_of_its_pixel():
 
 
 def fineness(n: int, frame: Frame) -> tuple[int, int, int, int]:
-    """What the order of births goes by: sample number, level, row, column."""
+    """Key of the order of primaries: sample number, level, row, column."""
     pixel, number = divmod(n, frame.samples)
     j, i = divmod(pixel, frame.width)
     stride = next(s for s in (8, 4, 2, 1) if i % s == 0 and j % s == 0)
@@ -178,7 +178,7 @@ def fineness(n: int, frame: Frame) -> tuple[int, int, int, int]:
 @pytest.mark.parametrize("room", [1, 2, 7, 64, 10_000])
 @pytest.mark.parametrize("name", ["in front", "inside", "parallel, askew"])
 def test_coarse_to_fine_whatever_the_room(name, room):
-    """However births are cut into calls, the order is the same, and every sample comes once."""
+    """However primaries are cut into calls, the order is the same, and every sample comes once."""
     size, space = (21, 19), SPACES["3x2x1"]
     frame = make_frame(bad_places(space, size)[name], size, samples=2)
     for index in indices(space):

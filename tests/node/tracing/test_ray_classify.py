@@ -1,4 +1,4 @@
-"""Rays told apart eight at once are told apart as one by one; and what the step hands on is what it was."""
+"""Rays classified eight at once are classified as one by one; and what the step hands on is what it was."""
 
 import numpy as np
 import pytest
@@ -64,23 +64,23 @@ def _expected(surfaces, ray, shadow, cell):
 
 
 def _compare(surfaces, frame, packets, came_by, cell, shadow):
-    ahead, many = make_ray_setup(), len(came_by)
-    ahead.lists[:] = 77  # what is left there does not matter
-    read_prepared(frame, packets, came_by, 0, many, shadow, ahead)
-    set_up_rays(cell, SPACE, many, shadow, ahead)
+    setup, many = make_ray_setup(), len(came_by)
+    setup.lists[:] = 77  # what is left there does not matter
+    read_prepared(frame, packets, came_by, 0, many, shadow, setup)
+    set_up_rays(cell, SPACE, many, shadow, setup)
     ends = ends_of_array(cell.index, SPACE.shape)
-    found = classify(surfaces, many, shadow, box_of_all(surfaces.floats), ends, ahead)
-    wanted = [_expected(surfaces, column(ahead, j), shadow, cell) for j in range(many)]
+    found = classify(surfaces, many, shadow, box_of_all(surfaces.floats), ends, setup)
+    wanted = [_expected(surfaces, column(setup, j), shadow, cell) for j in range(many)]
     for which, count in zip((PASSING, ENDING, SEARCHED), found, strict=True):
-        listed = ahead.lists[which * SETUP_ROOM : which * SETUP_ROOM + count].tolist()
+        listed = setup.lists[which * SETUP_ROOM : which * SETUP_ROOM + count].tolist()
         assert sorted(listed) == [j for j in range(many) if wanted[j][0] == which]
     for j in range(many):
         if wanted[j][0] != PASSING:
-            assert ahead.met[j] == len(wanted[j][1])
+            assert setup.met[j] == len(wanted[j][1])
         if wanted[j][0] == SEARCHED:
-            assert ahead.roots[j * WIDE : j * WIDE + ahead.met[j]].tolist() == wanted[j][1].tolist()
+            assert setup.roots[j * WIDE : j * WIDE + setup.met[j]].tolist() == wanted[j][1].tolist()
     _, ending, searched = found
-    rest = [unfinished(ahead, k, ending) for k in range(ending + searched)]
+    rest = [unfinished(setup, k, ending) for k in range(ending + searched)]
     assert sorted(rest) == [j for j in range(many) if wanted[j][0] != PASSING]
     assert all(wanted[j][0] == ENDING for j in rest[:ending])
 
@@ -116,17 +116,17 @@ def test_shadow_rays(some, lights, rays, cell):
 @settings(deadline=None)
 def test_what_boxes_are_given(rays, cell):
     """Origin, inverse direction and near planes in binary32, and the times, as `for_boxes` and `open_root` have them."""
-    packets, ahead = np.zeros(len(rays) * SIZE, np.uint8), make_ray_setup()
+    packets, setup = np.zeros(len(rays) * SIZE, np.uint8), make_ray_setup()
     for k, (x, y, z, a, b, _) in enumerate(rays):
         put_ray(packets, k * SIZE, PRIMARY, 1, k, (x, y, z), (a, b), np.int64(0))
     read_prepared(
-        frame_with([(0.0, 0.0, 0.0, 1.0)]), packets, np.zeros(len(rays), np.uint8), 0, len(rays), False, ahead
+        frame_with([(0.0, 0.0, 0.0, 1.0)]), packets, np.zeros(len(rays), np.uint8), 0, len(rays), False, setup
     )
-    set_up_rays(cell, SPACE, len(rays), False, ahead)
-    times = ahead.singles.reshape(-1, SETUP_RAYS)[6:]
+    set_up_rays(cell, SPACE, len(rays), False, setup)
+    times = setup.singles.reshape(-1, SETUP_RAYS)[6:]
     for j in range(len(rays)):
-        _, o, _, inv, t_in, t_out, _ = column(ahead, j)
-        (ray, near), (wanted, wanted_near) = boxes_of(ahead, j), for_boxes(o, inv)
+        _, o, _, inv, t_in, t_out, _ = column(setup, j)
+        (ray, near), (wanted, wanted_near) = boxes_of(setup, j), for_boxes(o, inv)
         assert np.array(ray, np.float32).tobytes() == np.array(wanted, np.float32).tobytes()
         assert tuple(near) == tuple(wanted_near)
         assert times[:, j].tolist() == [np.float32(max(t_in, T_MIN)), np.float32(min(t_out, FAREST))]

@@ -55,16 +55,16 @@ def _unit(v):
     return tuple(float(x) for x in np.array(v) / np.linalg.norm(v))
 
 
-def _write(spawn_batch, births, cell):
-    """Packets of births (head, light, p, g, d, weight), and the ports behind which they start."""
-    spawns, rows = make_spawn_batch(), np.zeros(len(births) * SIZE, np.uint8)
-    for birth in births:
-        note(spawns, spawn_batch, *birth)
-    assert spawns.held[spawn_batch] == len(births)
+def _write(spawn_batch, rays, cell):
+    """Packets of rays (head, light, p, g, d, weight), and the ports behind which they start."""
+    spawns, rows = make_spawn_batch(), np.zeros(len(rays) * SIZE, np.uint8)
+    for ray in rays:
+        note(spawns, spawn_batch, *ray)
+    assert spawns.held[spawn_batch] == len(rays)
     work_out(cell, SPACE, spawns, spawn_batch)
-    for k in range(len(births)):
+    for k in range(len(rays)):
         put(spawns, spawn_batch, k, rows, k * SIZE)
-    return rows.reshape(-1, SIZE), [int(starts_behind(spawns, spawn_batch, k)) for k in range(len(births))]
+    return rows.reshape(-1, SIZE), [int(starts_behind(spawns, spawn_batch, k)) for k in range(len(rays))]
 
 
 def _first(ports):
@@ -76,13 +76,13 @@ def _first(ports):
     st.sampled_from(CELLS),
 )
 @settings(deadline=None)
-def test_rays(births, cell):
+def test_rays(rays, cell):
     """Grazing and along axes, weights from nothing to infinity."""
     noted = [
-        (REFLECTED | (3 << 3) | (sample << 8), 0, p, _unit(g), _unit(d), weight) for p, g, d, weight, sample in births
+        (REFLECTED | (3 << 3) | (sample << 8), 0, p, _unit(g), _unit(d), weight) for p, g, d, weight, sample in rays
     ]
     rows, ports = _write(RAY_BATCH, noted, cell)
-    for k, (p, _, _, weight, sample) in enumerate(births):
+    for k, (p, _, _, weight, sample) in enumerate(rays):
         g, d = noted[k][3], noted[k][4]
         origin, row = origin_beside(STEPS, p, g, d), np.zeros(SIZE, np.uint8)
         put_ray(row, 0, REFLECTED, 3, sample, origin, octahedral(*d), pack_weight(*weight))
@@ -99,14 +99,14 @@ def test_rays(births, cell):
     st.sampled_from(CELLS),
 )
 @settings(deadline=None)
-def test_shadow_rays(births, cell):
+def test_shadow_rays(rays, cell):
     """Towards any of the lights that a packet can name."""
     noted = [
         (SHADOW | (31 << 3) | (sample << 8), light, p, _unit(g), _unit(d), weight)
-        for p, g, d, weight, sample, light in births
+        for p, g, d, weight, sample, light in rays
     ]
     rows, ports = _write(SHADOW_BATCH, noted, cell)
-    for k, (p, _, _, weight, sample, light) in enumerate(births):
+    for k, (p, _, _, weight, sample, light) in enumerate(rays):
         origin, row = origin_beside(STEPS, p, noted[k][3], noted[k][4]), np.zeros(SIZE, np.uint8)
         put_shadow(row, 0, 31, sample, origin, light, weight)
         assert rows[k].tobytes() == row.tobytes()
@@ -115,9 +115,9 @@ def test_shadow_rays(births, cell):
 
 @pytest.mark.parametrize("spawn_batch", [SHADOW_BATCH, RAY_BATCH])
 def test_a_full_brood_says_so(spawn_batch):
-    """Where there is room for no more, and only there; the other brood is left alone."""
+    """Where there is room for no more, and only there; the other batch is left alone."""
     spawns = make_spawn_batch()
-    birth = (1, 0, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0))
-    assert [note(spawns, spawn_batch, *birth) for _ in range(SPAWN_ROOM)] == [False] * (SPAWN_ROOM - 1) + [True]
+    ray = (1, 0, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0))
+    assert [note(spawns, spawn_batch, *ray) for _ in range(SPAWN_ROOM)] == [False] * (SPAWN_ROOM - 1) + [True]
     assert spawns.held[1 - spawn_batch] == 0
     assert SPAWN_ROOM % EIGHT == 0

@@ -21,7 +21,7 @@ from raygrid.node.protocol.messages import HEAD
 from raygrid.node.protocol.packets import SIZE
 
 STEPS = {"even": EVEN_STEP, "askew": (0.55 / HALF, 0.37 / HALF, 0.47 / HALF)}
-# cells so thin that births land many cells away
+# cells so thin that spawned rays land many cells away
 ALL_STEPS = STEPS | {
     "flat": (0.55 / HALF, 0.37 / HALF, 2.1e-3 / HALF),
     "rod": (2.3e-3 / HALF, 0.9 / HALF, 2.1e-3 / HALF),

@@ -1,4 +1,4 @@
-"""One packet, one node, answers known by hand: births at a hit, shadows, returns, edges and ways."""
+"""One packet, one node, answers known by hand: rays spawned at a hit, shadows, returns, edges and ways."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def file():
 
 
 def test_a_child_moves_with_its_parents(file, tmp_path):
-    """Parent shifts, child turns a quarter about z; a third node stays."""
+    """Parent shifts, child rotation_matrices a quarter about z; a third node stays."""
     file.json["nodes"] = [
         {"name": "arm", "children": [1], "translation": [1, 0, 0]},
         {"name": "hand", "mesh": 0, "scale": [2, 1, 1]},
