@@ -9,7 +9,7 @@ from raygrid.emulator.driver import NodeSample
 from raygrid.host.probes.record import replay
 from raygrid.host.probes.sums import Index
 
-NAP_SECONDS = 0.05  # after which the reader is given a turn
+PAUSE_SECONDS = 0.05  # after which the reader is given a turn
 
 
 def paced(
@@ -24,7 +24,7 @@ def paced(
         first = sample.time if first is None else first
         due = begun + (sample.time - first) / speed
         while (left := due - clock()) > 0.0:
-            wait(min(left, NAP_SECONDS))
+            wait(min(left, PAUSE_SECONDS))
             yield None
         yield sample
 

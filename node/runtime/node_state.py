@@ -188,8 +188,8 @@ class NodeState:
         if self.frame is None:
             return BATCH_IDLE
         if self._crowded:
-            births = PORTION * max(self.frame.n_lights, 2)
-            self.work_queues.make_room(0, births, max(births, ADMIT_AT_ONCE))
+            spawned = PORTION * max(self.frame.n_lights, 2)
+            self.work_queues.make_room(0, spawned, max(spawned, ADMIT_AT_ONCE))
         self.tuning.may_wait = wait
         self.quota, why = self.run_loop(self._tables(), self.quota)
         self._crowded = why == BATCH_CROWDED

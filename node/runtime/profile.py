@@ -43,7 +43,7 @@ Result = TypeVar("Result")
 
 EVERY = 2  # calls, one of which is sampled
 LEAST_SAMPLES = 64  # packets worth sampling
-BIRTHS = 8192  # primary rays born aside to know the time of one
+SPAWNED = 8192  # primary rays born aside to know the time of one
 
 
 def warm(node_state: NodeState) -> None:
@@ -65,7 +65,7 @@ class Profile:
     def __init__(self, processor: Processor) -> None:
         self._processor = processor
         self._counts = np.zeros(COUNTS, np.int64)
-        self._scratch = np.ones(BIRTHS * SIZE, np.uint8)
+        self._scratch = np.ones(SPAWNED * SIZE, np.uint8)
         self._frames = 0
         # back to Python while packets wait, or there are none to sample
         processor.node_state.tuning.loop_packets = 4 * BATCH_RAYS
@@ -89,7 +89,7 @@ class Profile:
     def _begin(self) -> None:
         self._seconds = dict.fromkeys(("receive", "send", "batches", "aside"), 0.0)
         self._sampled = dict.fromkeys(("birth", "decode", "walk", "hit"), 0.0)
-        self._packets = self._births = 0  # that were sampled
+        self._packets = self._spawned = 0  # that were sampled
         self._calls = 0
         self._frames += 1
         self._wall, self._cpu = time.perf_counter(), time.thread_time()
@@ -123,14 +123,14 @@ class Profile:
         return why
 
     def _sample(self) -> None:
-        """Time packets that wait, and some births."""
+        """Time packets that wait, and some that are spawned."""
         node_state = self._processor.node_state
         for kind in (SHADOWS, RAYS):
             held = int(node_state.work_queues.count[kind])
             if held >= LEAST_SAMPLES:
                 self._sample_stack(node_state.work_queues, kind, held)
         if node_state.quota > 0 and node_state.samples_left:
-            self._sample_births()
+            self._sample_spawned()
 
     def _sample_stack(self, work_queues: WorkQueues, kind: int, held: int) -> None:
         node_state = self._processor.node_state
@@ -151,14 +151,14 @@ class Profile:
             self._sampled[part] += max(spent - before, 0.0)
             before = spent
 
-    def _sample_births(self) -> None:
+    def _sample_spawned(self) -> None:
         """Spawn some primaries aside."""
         node_state = self._processor.node_state
         assert node_state.pixels is not None
         pixels = node_state.pixels._replace(samples=node_state.pixels.samples.copy())
         cursor = new_cursor(True)
         begun = time.thread_time()
-        self._births += spawn_primaries(
+        self._spawned += spawn_primaries(
             node_state.cell,
             node_state.space,
             node_state.frame,
@@ -166,7 +166,7 @@ class Profile:
             cursor,
             self._scratch,
             0,
-            BIRTHS,
+            SPAWNED,
             node_state.outputs.seen,
             self._counts,
         )
@@ -184,7 +184,7 @@ class Profile:
         spent, sampled = self._seconds, self._sampled
         traced, counts = spent["batches"], self._processor.node_state.counts
         parts = {part: sampled[part] / max(self._packets, 1) * int(counts[WALKS]) for part in ("decode", "walk", "hit")}
-        parts["birth"] = sampled["birth"] / max(self._births, 1) * int(counts[BORN + PRIMARY])
+        parts["birth"] = sampled["birth"] / max(self._spawned, 1) * int(counts[BORN + PRIMARY])
         known = sum(parts.values())
         if known > traced:  # what is sampled is colder than what it stands for
             parts = {part: seconds * traced / known for part, seconds in parts.items()}

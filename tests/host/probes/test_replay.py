@@ -11,7 +11,7 @@ from support.probes import made, recorded
 from support.terminal import Terminal
 
 from raygrid.host.probes.probing import Probing
-from raygrid.host.probes.replay import NAP_SECONDS, paced
+from raygrid.host.probes.replay import PAUSE_SECONDS, paced
 
 
 def test_a_recording_is_played_in_its_own_time():
@@ -26,8 +26,8 @@ def test_a_recording_is_played_in_its_own_time():
     played = paced(samples, 0.5, clock=lambda: now, wait=wait)
     heard = [None if one is None else (one.time, round(now - 100.0, 6)) for one in played]
     assert [at for at in heard if at] == [(7.0, 0.0), (7.0, 0.0), (7.5, 1.0), (9.0, 4.0)]
-    assert max(naps) <= NAP_SECONDS
-    assert heard.count(None) == len(naps) >= 4.0 / NAP_SECONDS
+    assert max(naps) <= PAUSE_SECONDS
+    assert heard.count(None) == len(naps) >= 4.0 / PAUSE_SECONDS
 
 
 def test_a_recording_that_is_late_is_not_waited_for():
