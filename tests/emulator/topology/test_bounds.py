@@ -331,9 +331,9 @@ def test_the_flood_waits_in_bounded_room(monkeypatch):
     def take() -> None:
         idle[0] -= 1
         if idle[0] < 0:
-            type(slow)._take_surfaces(slow)
+            type(slow.flood).work(slow.flood)
 
-    slow._take_surfaces = take
+    slow.flood.work = take
     watch(array, look)
     array.driver.load(space_of("3x1x1", EVEN_STEP), many)
     assert idle[0] < 0

@@ -23,7 +23,8 @@ from raygrid.emulator.processes.fork_server_client import ForkServerClient
 from raygrid.emulator.topology import socket_directory
 from raygrid.host.client import connection
 from raygrid.host.client.service_files import JOURNAL, find, take_lock
-from raygrid.host.service.worker import Options, Worker
+from raygrid.host.service.events import ArrayEnded, KernelsWarming, Options
+from raygrid.host.service.worker import Worker
 from raygrid.node.errors import ArrayError
 
 __all__ = ["array", "name", "warm_kernels"]
@@ -399,7 +400,7 @@ def test_an_end_is_heard_while_the_kernels_are_compiled(monkeypatch, tmp_path):
     worker.ask_end()
     worker.join(60.0)
     assert not worker.is_alive(), "the array goes on warming"
-    assert [event.kind for event in events if event.kind != "warming"] == ["ended"]
+    assert [type(event) for event in events if not isinstance(event, KernelsWarming)] == [ArrayEnded]
 
 
 def directories():
