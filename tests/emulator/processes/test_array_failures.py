@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from types import SimpleNamespace
 
 import pytest
 from support.array import (
@@ -395,7 +396,7 @@ def test_a_wave_before_the_last_was_answered_breaks_the_link():
 def test_an_answer_that_is_none_breaks_the_link(answer):
     array = launched("2x1x1")
     child = array.processors[1]
-    child._own_answer = lambda do: answer
+    child._own_reply = lambda with_record: SimpleNamespace(as_map=lambda wave: {**answer, "wave": wave})
     with pytest.raises(ProtocolError, match=r"a reply came without its|came back as another one"):
         array.driver.wave({"do": "ready"})
 

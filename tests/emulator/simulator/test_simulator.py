@@ -249,7 +249,7 @@ def test_an_array_beyond_memory_is_refused_before_anything_is_worked_out(monkeyp
     job = job_of("tiny.nff", (30, 30, 30), (8, 8))
     left = 20**3 * (NODE_BYTES + 2 * CLOCK_BYTES) + 8_000_000
     monkeypatch.setattr(limits, "read_memory", lambda: Bound(left, "the memory available"))
-    monkeypatch.setattr(simulator, "holdings", never)
+    monkeypatch.setattr(simulator, "shared_geometry", never)
     for options in ({"band": True}, {"around": True}):
         with pytest.raises(
             TooLarge, match=r"a simulated 30x30x30 array .* leaves \d+ MB; largest that fits: 2\dx2\dx2\d"
