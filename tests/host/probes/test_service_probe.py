@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import signal
 import subprocess
 from collections.abc import Iterator
@@ -178,7 +179,9 @@ def test_an_array_that_ends_ends_the_command_with_one_line(tmp_path, monkeypatch
             _, told = probe.communicate(timeout=TIMEOUT)
     finally:
         end("brief")
-    assert (probe.returncode, told) == (1, "raygrid: the array 'brief' has closed the connection\n")
+    assert probe.returncode == 1
+    # which of the two is true depends on whether its process has ended yet
+    assert re.fullmatch(r"raygrid: the array 'brief' (has closed the connection|\(process \d+\) is gone)\n", told)
     assert list(replay(str(tmp_path / "r.jsonl")).samples)
 
 
