@@ -245,10 +245,10 @@ class Fuzz:
             )
         elif how == "sequence":
             good = pack_message(
-                int(choose(orders)), link.epoch, link.sent + choose((1, 77, 2**31)) & 0xFFFFFFFF, 0, 0, b""
+                int(choose(orders)), link.epoch, link.messages_sent + choose((1, 77, 2**31)) & 0xFFFFFFFF, 0, 0, b""
             )
         elif how == "credit":
-            good = pack_message(int(MessageKind.CREDIT), link.epoch, link.sent & 0xFFFFFFFF, 2**31, 0, b"")
+            good = pack_message(int(MessageKind.CREDIT), link.epoch, link.messages_sent & 0xFFFFFFFF, 2**31, 0, b"")
         elif how == "again":
             good = pack_message(
                 *link._header(choose((MessageKind.HELLO, MessageKind.ACK, MessageKind.BYE_ACK)), 0), b"\x80"

@@ -118,7 +118,7 @@ class Bed:
                 check_packets(arrival.message, arrival.items)
                 packets += [arrival.message[at : at + SIZE] for at in range(HEAD, len(arrival.message), SIZE)]
                 self.peer.grant()
-            if self.peer.received == self.link.sent:
+            if self.peer.received == self.link.messages_sent:
                 return sorted(packets)
             self._poller.poll(50)
         pytest.fail("not all messages have come")

@@ -370,7 +370,7 @@ def test_any_request_has_the_same_consequences(fields, wrong, value):
             middle.node.work()
             link = middle.peers[LOW]
             raw = bytearray(
-                message(MessageKind.REDUCE, request_bytes(fields), 0, link.sent, link.data_done, link.epoch)
+                message(MessageKind.REDUCE, request_bytes(fields), 0, link.messages_sent, link.data_done, link.epoch)
             )
             raw[wrong] = value
             assert middle.others[LOW].send(sealed(bytes(raw)))
