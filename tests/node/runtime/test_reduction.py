@@ -384,7 +384,7 @@ def test_any_request_has_the_same_consequences(fields, wrong, value):
             except ProtocolError as error:
                 said = str(error)
             pending = [state.pending, state.wave, state.replied]
-            outcomes.append(
-                (said, pending, middle.node.reductions.reduction.request.tolist(), middle.node.links[LOW].stale)
-            )
+            # compiled code reads a request in place before it believes it: it counts once it is under way
+            request = middle.node.reductions.reduction.request.tolist() if state.pending else None
+            outcomes.append((said, pending, request, middle.node.links[LOW].stale))
     assert outcomes[0] == outcomes[1]
