@@ -91,6 +91,7 @@ def test_no_summary_of_a_command_is_cut():
     assert not [line for line in listed if not line.endswith(".") or line.endswith("...")]
 
 
+@pytest.mark.timeout(900)  # kernels and a program are compiled, each a minute on a quiet computer
 @pytest.mark.usefixtures("no_leftovers", "warm_kernels")
 @pytest.mark.parametrize("lines", SITTINGS, ids=lambda lines: lines[0].where)
 def test_marked_lines_run(lines, tmp_path, monkeypatch):

@@ -161,13 +161,13 @@ def test_each_check_sees_what_is_wrong(tmp_path):
     (tmp_path / "node" / "jit").mkdir(parents=True)
     sieve = tmp_path / "node" / "jit" / "cache.py"
     sieve.write_text(
-        '"""The fork server of kernels."""\nclass Door:\n    def bear_next(self, eyesAstray):\n        door = 1\n'
+        '"""The nursery of kernels."""\nclass Door:\n    def bear_next(self, eyesAstray):\n        door = 1\n'
     )
     (tmp_path / "node" / "jit" / "tally.py").write_text("class Door:\n    pass\n")
     modules = read_modules(tmp_path)
     found = retired(modules, WORDS, RETIRED_AS_NAMES)
-    assert found == {"node.jit.cache": {"fork server", "door", "bear", "astray"}, "node.jit.tally": {"tally", "door"}}
-    left = {"node.jit.cache": "fork server sieve"}
+    assert found == {"node.jit.cache": {"nursery", "door", "bear", "astray"}, "node.jit.tally": {"tally", "door"}}
+    left = {"node.jit.cache": "nursery sieve"}
     kept = [("", "door"), ("node.jit.cache", "bear"), ("node.jit.tally", "bear")]
     assert faults(found, kept, left) == [
         "'bear' is kept for node.jit.tally, and not used",

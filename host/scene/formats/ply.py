@@ -180,9 +180,12 @@ class PlyReader:
                 warnings.simplefilter("ignore", UserWarning)  # of lists without values, which are no fault
                 ply = PlyData.read(io.BytesIO(data)) if text else self._binary(data)
             self.comments = [*ply.comments, *ply.obj_info, *(word for element in ply for word in element.comments)]
-            return {element.name: element.data for element in ply}
+            tables = {element.name: element.data for element in ply}
         except Exception as error:  # damaged files raise nearly anything in there
             raise self._error(f"the PLY file cannot be read ({shown(str(error))})") from None
+        if not {"vertex", "face"} <= set(tables):
+            raise self._error("the file lacks vertices or faces, wanted the elements vertex and face")
+        return tables
 
     def _binary(self, data: bytes) -> Any:
         """Faces of one length are read at once, which needs a file that can be mapped; all others one by one."""

@@ -184,6 +184,13 @@ def test_all_forms_of_a_mesh_are_the_same_scene(
     assert len(set(seen)) == 1
 
 
+@pytest.mark.parametrize("form", FORMS)
+def test_a_file_without_vertices_is_refused(tmp_path, form):
+    whole = written(form, vertices(CONCAVE), faces([0, 1, 2]))
+    with pytest.raises(SceneError, match="lacks vertices or faces, wanted the elements vertex and face"):
+        scene_of(tmp_path, whole.replace(b"element vertex", b"element vortex"))
+
+
 @given(st.sampled_from(list(FORMS)), st.data())
 def test_a_file_with_wrong_bytes_is_a_scene_or_one_sentence(
     tmp_path_factory: pytest.TempPathFactory, form: str, data: Any
