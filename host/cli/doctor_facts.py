@@ -268,10 +268,8 @@ def _kept(directory: Path | None, exists: bool, writable: bool, why: str) -> Cac
     functions: dict[str, int] = {}
     programs = 0
     if directory is not None and exists:
-        for index in directory.glob("*/*.nbi"):
-            package = index.parent.name.partition("_")[0]
-            kind = KIND_OF_PACKAGE.get(package, KINDS[0])
-            functions[kind] = functions.get(kind, 0) + 1
+        for folder, kind in _folders().items():
+            functions[kind] = functions.get(kind, 0) + sum(1 for _ in directory.glob(f"{folder}/*.nbi"))
         programs = sum(1 for _ in directory.glob("program-*"))
     size = 0 if directory is None else _size(directory)
     beside = 0 if directory is None else sum(map(_size, directory.parent.glob("kernels-*"))) - size
@@ -282,9 +280,21 @@ def _kept(directory: Path | None, exists: bool, writable: bool, why: str) -> Cac
         "why": why,
         "bytes": size,
         "bytes_beside": beside,
-        "functions": dict(sorted(functions.items())),
+        "functions": {kind: functions[kind] for kind in KINDS if functions.get(kind)},
         "programs": programs,
     }
+
+
+def _folders() -> dict[str, str]:
+    """Folder of the cache -> kind of the kernels that it holds; a copy of raygrid that lies elsewhere has its own."""
+    from raygrid.node.jit import fast_load
+
+    if not fast_load.can_seal():  # nothing is kept then
+        return {}
+    folder_of = fast_load.caching._CacheLocator.get_suitable_cache_subpath
+    layers = [Path(sys.modules[name].__path__[0]) for name in ("raygrid.node", "raygrid.emulator")]
+    packages = [package for layer in layers for package in layer.iterdir()]
+    return {folder_of(str(one / "x.py")): KIND_OF_PACKAGE.get(one.name, KINDS[0]) for one in packages if one.is_dir()}
 
 
 def _size(directory: Path) -> int:

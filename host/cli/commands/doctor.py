@@ -175,10 +175,13 @@ def _cache_lines(cache: CacheFacts | None) -> Iterator[str]:
         yield from _entry("", f"not in {cache['why']}")
     kept = [f"{count} for {kind}" for kind, count in cache["functions"].items()]
     kept += [count_of(cache["programs"], "program")] if cache["programs"] else []
-    held = f"functions kept: {', '.join(kept)}" if kept else "nothing kept yet; the first run compiles, a minute"
-    yield from _entry(
-        "", f"{held}; {bytes_of(cache['bytes'])}, and {bytes_of(cache['bytes_beside'])} of other versions"
+    held = (
+        f"{bytes_of(cache['bytes'])}; functions: {', '.join(kept)}"
+        if kept
+        else "no kernels yet: the first run takes a minute"
     )
+    beside = f"; {bytes_of(cache['bytes_beside'])} beside, of other versions" if cache["bytes_beside"] else ""
+    yield from _entry("", held + beside)
 
 
 def _limit_lines(facts: DoctorFacts) -> Iterator[str]:

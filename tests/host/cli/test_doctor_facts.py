@@ -187,13 +187,16 @@ def test_what_is_kept_is_counted_by_kind(tmp_path, monkeypatch):
     monkeypatch.setenv("RAYGRID_CACHE", str(tmp_path))
     inner = place(tmp_path)
     other = tmp_path / f"kernels-{'0' * 16}"
-    files = ["tracing_0/a.nbi", "tracing_0/a.1.nbc", "geometry_0/b.nbi", "timed_0/c.nbi", "simulator_0/d.nbi"]
+    folders = {folder.partition("_")[0]: folder for folder in doctor_facts._folders()}
+    kept = ["tracing/a.nbi", "tracing/a.1.nbc", "geometry/b.nbi", "timed/c.nbi", "simulator/d.nbi"]
+    files = [f"{folders[name.partition('/')[0]]}/{name.partition('/')[2]}" for name in kept]
+    files.append("tracing_0/of-a-copy-elsewhere.nbi")
     for path in [*(inner / name for name in files), inner / "program-1" / "tracing_0" / "e.nbi", other / "f"]:
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         path.write_text("12345")
     found = doctor_facts.read_cache()
     assert found["functions"] == {"nodes": 2, "nodes that keep machine time": 1, "the simulator": 1}
-    assert (found["programs"], found["bytes"], found["bytes_beside"]) == (1, 30, 5)
+    assert (found["programs"], found["bytes"], found["bytes_beside"]) == (1, 35, 5)
 
 
 def test_looking_refuses_what_would_be_made(tmp_path):
