@@ -38,6 +38,7 @@ GROUP_FILES = {
         ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),  # version 1
     ),
 }
+CORE_FILES = (("cpu.max",), ("cpu.cfs_quota_us", "cpu.cfs_period_us"))  # quota and period, of version 2 and 1
 
 
 class Bound(NamedTuple):
@@ -205,6 +206,17 @@ def read_resources(proc: Path = Path("/proc"), cgroups: Path = Path("/sys/fs/cgr
 def read_memory(proc: Path = Path("/proc"), cgroups: Path = Path("/sys/fs/cgroup")) -> Bound:
     """Bytes of memory that this computer has left now. Alone, because the counting of tasks takes ten times as long."""
     return min(Bound(_meminfo(proc), "the memory available"), *_group_bounds(proc, cgroups, "memory"))
+
+
+def read_cores(proc: Path = Path("/proc"), cgroups: Path = Path("/sys/fs/cgroup")) -> float:
+    """Cores that this process may use at once: those that it may run on, or the share that its control groups leave it."""
+    shares = [float(len(os.sched_getaffinity(0)))]
+    for group in _groups(proc, cgroups, "cpu"):
+        for files in CORE_FILES:
+            words = [word for file in files for word in _words(group / file)]
+            if len(words) == 2 and words[0].isdigit() and int(words[1]) > 0:  # else "max", or -1
+                shares.append(int(words[0]) / int(words[1]))
+    return min(shares)
 
 
 def _process_limit(which: int) -> int:

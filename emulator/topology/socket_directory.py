@@ -146,6 +146,14 @@ def bases() -> list[str]:
     return list(dict.fromkeys(base for base in found if base))
 
 
+def why_not_usable(shape: Index) -> dict[str, str | None]:
+    """Each of `bases`, with what keeps a socket directory for an array of `shape` from being made there; None: nothing.
+
+    Raises FileNotFoundError if there is no temporary directory.
+    """
+    return {base: _unusable(base, shape) for base in bases()}
+
+
 def remove(directory: str) -> None:
     """Remove a socket directory. Refuses quietly what is not a raygrid directory of ours, and never raises OSError."""
     if NAME.fullmatch(os.path.basename(directory)) and _is_our_directory(directory):

@@ -1,4 +1,4 @@
-"""Declares the commands that look into the machine: trace, jam, probe."""
+"""Declares the commands that look into the machine: trace, jam, probe, doctor."""
 
 from __future__ import annotations
 
@@ -48,6 +48,13 @@ Examples:
   raygrid jam scenes/glass.toml --size 128x96 --json
 
 docs/deadlock.md has what this shows, with counts.
+"""
+DOCTOR_EXAMPLES = """\b
+Examples:
+  raygrid doctor
+  raygrid doctor --json
+
+Exit code 1: something would stop a small array, and it is said what helps. docs/doctor.md says more.
 """
 
 
@@ -163,11 +170,23 @@ def probe(**options: Any) -> None:
     if request.replay is not None and request.speed is None and request.is_drawn and not written:
         request = replace(request, speed=1.0)
     run_probe(request)
+
+
+@click.command(epilog=DOCTOR_EXAMPLES)
+@click.option("--json", "as_json", is_flag=True, help="As JSON.")
+def doctor(as_json: bool) -> None:
+    """Say what raygrid finds on this computer, and what would stop it.
+
+    Versions, fast paths, the cache of compiled kernels, limits, places for files. It only looks.
+    """
+    from raygrid.host.cli.commands.doctor import run_doctor
+
+    run_doctor(as_json)
 # fmt: on
 
 
 def add_commands(group: click.Group, debug_option: Callable[[Command], Command]) -> None:
     """Add the commands to a group."""
-    for command in (trace, jam, probe):
+    for command in (trace, jam, probe, doctor):
         debug_option(command)
         group.add_command(command)

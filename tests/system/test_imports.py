@@ -39,6 +39,8 @@ OPEN = {  # modules that other layers may import as they are
     "node.main": "a module of the layer itself, so its own face",
     "node.geometry.spanning_tree": "preloaded by its module's name",
     "node.jit.cache": "preloaded by its module's name",
+    "node.jit.fast_load": "what `raygrid doctor` asks of it nobody else needs",
+    "node.jit.trusted_files": "`raygrid doctor` asks it of a cache that is not there yet",
     "node.links.zmq_channel": "preloaded by its module's name",
     "node.runtime.profile": "preloaded by its module's name",
     "node.tracing.step": "the module's main function has its name, which a face could not give",

@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,7 @@ from raygrid.emulator.topology.limits import (
     check_simulated_fits,
     largest_that_fits,
     parse_shape,
+    read_cores,
     read_resources,
 )
 from raygrid.node.errors import TooLarge
@@ -239,6 +241,23 @@ def test_nothing_that_can_be_read_is_no_limit(tmp_path, monkeypatch):
     monkeypatch.setattr("resource.getrlimit", lambda which: (-1, -1))
     found = read_resources(tmp_path / "none", tmp_path / "none")
     assert min(found.memory.left, found.tasks.left, found.descriptors.left, found.all_files.left) == UNLIMITED
+
+
+def test_cores_are_those_of_the_process_or_the_share_of_its_group(computer, monkeypatch):
+    monkeypatch.setattr("os.sched_getaffinity", lambda _process: range(6))
+    cores = partial(read_cores, computer.proc, computer.cgroups)
+    assert cores() == 6.0
+    computer.write(computer.cgroups / "cpu.max", "max 100000\n")
+    assert cores() == 6.0
+    computer.write(computer.cgroups / "cpu.max", "250000 100000\n")
+    assert cores() == 2.5
+    computer.write(computer.proc / "self/cgroup", "1:cpu,cpuacct:/docker/1\n")
+    group = computer.cgroups / "cpu,cpuacct"
+    computer.write(group / "cpu.cfs_quota_us", "-1\n")
+    computer.write(group / "cpu.cfs_period_us", "100000\n")
+    assert cores() == 6.0
+    computer.write(group / "cpu.cfs_quota_us", "50000\n")
+    assert cores() == 0.5
 
 
 # --- the simulator -------------------------------------------------------------------------------

@@ -23,6 +23,7 @@ from raygrid.emulator.topology.socket_directory import (
     host_endpoint,
     longest_path,
     sweep,
+    why_not_usable,
 )
 from raygrid.node.errors import ArrayError
 
@@ -196,6 +197,14 @@ def test_a_long_path_is_told_with_its_length(monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(long))
     length = len(f"{long}/raygrid-0123456789ab/65535-1,1,1x")
     assert f"its socket paths would have {length} bytes, at most 107 are allowed" in refusals(monkeypatch)
+
+
+def test_what_keeps_an_array_from_a_directory_is_told_of_each_without_making_any(monkeypatch, tmp_path, elsewhere):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "none"))
+    before = set(os.listdir(elsewhere))
+    found = why_not_usable((2, 2, 2))
+    assert list(found.items())[:2] == [(str(tmp_path / "none"), "No such file or directory"), (str(elsewhere), None)]
+    assert set(os.listdir(elsewhere)) == before
 
 
 def test_a_symbolic_link_in_the_way(monkeypatch, base):

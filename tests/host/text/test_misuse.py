@@ -38,7 +38,7 @@ BAD: list[tuple[type[click.ParamType], list[str]]] = [
 ]
 # What a command needs besides the option under test.
 NEEDED = {"trace": ["--pixel", "1,1"], "cancel": ["1"], "wait": ["1"], "load": [TORUS, "--allow-programs"]}
-NO_SCENE = ("load", "up", "wait", "jobs", "cancel", "status", "reset", "down", "probe", "list")
+NO_SCENE = ("load", "up", "wait", "jobs", "cancel", "status", "reset", "down", "probe", "list", "doctor")
 
 
 def arguments(name: str) -> list[str]:
