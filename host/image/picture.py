@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import builtins
 import contextlib
 import io
 import threading
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from raygrid.host.image.outputs import FORMATS, SUMS, check_picture_path, check_side, suffix_of, write_whole
 from raygrid.host.image.transfer import TRANSFERS, to_bytes
@@ -76,6 +77,20 @@ class Picture:
         file = io.BytesIO()
         self._encoder(path, transfer, None)(file)
         return file.getbuffer()
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        """The values of a display, as `bytes()` gives them, for np.asarray(picture): uint8 (height, width, 3) unless another
+        dtype is asked for; they are not rescaled. Radiance is `linear()`. Raises ValueError for copy=False."""
+        if copy is False:
+            raise ValueError(
+                "the display values of a picture came with copy=False, wanted a copy: they are made when asked for"
+            )
+        values = self.bytes()
+        return values if dtype is None else values.astype(dtype, copy=False)
+
+    def _repr_png_(self) -> builtins.bytes:
+        """The PNG that `save` writes: a notebook shows the picture."""
+        return builtins.bytes(self.encoded("picture.png"))
 
     def _encoder(self, path: str | Path, transfer: str, texts: Mapping[str, str] | None) -> Callable[[BinaryIO], None]:
         from PIL import Image

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import Unpack
+from typing import TYPE_CHECKING, Unpack
 
 from raygrid.emulator.driver import BUDGET, PATIENCE, NodeSample
 from raygrid.emulator.processes import BATCH, Array
@@ -26,6 +26,9 @@ from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import ArrayError
 from raygrid.node.links import parse_fault
 from raygrid.node.programs import Program
+
+if TYPE_CHECKING:
+    from raygrid.host.scene.load import SceneLike
 
 MOST_BATCH = 8192  # packets; their message stays far below the longest that a link takes
 
@@ -67,7 +70,7 @@ class Machine:
 
     def render(
         self,
-        scene: Scene | str | Path,
+        scene: SceneLike,
         *,
         budget: int = BUDGET,
         watch: Watch | None = None,
@@ -75,7 +78,7 @@ class Machine:
         program: str | Path | Program | None = None,
         **settings: Unpack[GivenSettings],
     ) -> Picture:
-        """Render a scene, or the file of one.
+        """Render a scene: a Scene, the path of a file of one, a trimesh.Trimesh or a trimesh.Scene (docs/scenes.md).
 
         settings  size, samples, depth, min_weight, highlights, split; see `raygrid.host.render.machine_job.Settings`
         budget    packets in flight below which new primary rays are admitted
@@ -86,14 +89,12 @@ class Machine:
         Raises SceneError for a scene or settings that cannot be rendered, ArrayError if the array fails.
         """
         with self._use() as array:
-            if not isinstance(scene, Scene):
-                scene = load_scene(scene, self._allow_outside)
-            job = make_job(scene, self.shape, self._settings(settings, program))
+            job = make_job(load_scene(scene, self._allow_outside), self.shape, self._settings(settings, program))
             return RenderSession(array, attempts).render(job, budget, watch)
 
     def render_frames(
         self,
-        scene: Scene | str | Path,
+        scene: SceneLike,
         frames: Iterable[int] | None = None,
         *,
         budget: int = BUDGET,
@@ -108,9 +109,8 @@ class Machine:
         frames  their numbers, from 1; None: all of the shot
         The rest, and what is raised, as for `render`. `raygrid.host.scene.animation.turntable` makes a shot of a still scene.
         """
-        if not isinstance(scene, Scene):
-            scene = load_scene(scene, self._allow_outside)
-        for job in jobs_of(scene, self.shape, self._settings(settings, program), frames):
+        read = load_scene(scene, self._allow_outside)
+        for job in jobs_of(read, self.shape, self._settings(settings, program), frames):
             with self._use() as array:  # not while the caller has the picture
                 picture = RenderSession(array, attempts).render(job, budget, watch)
             yield picture

@@ -1,8 +1,9 @@
-"""Reads a scene with the reader of its file's suffix."""
+"""Reads a scene with the reader of its file's suffix, or takes one that a program has in memory."""
 
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -16,7 +17,11 @@ from raygrid.host.text.misuse import ArrayMisuse, SceneMisuse
 from raygrid.node.errors import ArrayError, SceneError
 
 if TYPE_CHECKING:
+    import trimesh
+
     from raygrid.host.scene.scene import Scene
+
+    SceneLike = str | os.PathLike[str] | Scene | trimesh.Trimesh | trimesh.Scene
 
 # Suffix: module and function. Imported when needed: the readers of some formats bring in large libraries.
 READERS = {
@@ -91,26 +96,50 @@ def check_taken(path: str | None, taken: bool) -> None:
         )
 
 
-def load_scene(path: str | Path, allow_outside: bool = False, remedy: str = REMEDY) -> Scene:
-    """Read a scene, of any format known.
+def load_scene(scene: SceneLike, allow_outside: bool = False, remedy: str = REMEDY) -> Scene:
+    """Read a scene, of any format known, or a trimesh.Trimesh or trimesh.Scene; a Scene is given back as it is.
 
     allow_outside  whether it may refer to files outside its folder; of a scene within another the other's was asked
     remedy         what the error says that allows it
     Raises SceneError for an unknown suffix, a missing or unreadable file, and whatever its reader refuses. What the file
     says comes back fit to be shown, in errors and remarks.
     """
+    if not isinstance(scene, str | os.PathLike):
+        return _taken(scene)
     from raygrid.host.scene.file_access import reading
 
-    check_name(path)
-    path = Path(path)
+    path = Path(scene)
+    check_name(scene if isinstance(scene, str) else path)
     module, function = READERS[path.suffix.lower()]
     with reading(path, allow_outside or _allowed.get(), remedy) as whole:
         try:
-            scene: Scene = getattr(import_module(f"raygrid.host.scene.formats.{module}"), function)(path)
+            read: Scene = getattr(import_module(f"raygrid.host.scene.formats.{module}"), function)(path)
         except SceneError as error:
             error.args = (printable(str(error)),)
             raise
-    return _shown(scene) if whole else scene
+    return _shown(read) if whole else read
+
+
+def _taken(given: Scene | trimesh.Trimesh | trimesh.Scene) -> Scene:
+    """The scene of an object in memory. Raises SceneMisuse for one that is none."""
+    from raygrid.host.scene.scene import Scene
+
+    if isinstance(given, Scene):
+        return given
+    known = sys.modules.get("trimesh")  # who has such an object has imported it
+    if not isinstance(given, tuple(getattr(known, name) for name in ("Trimesh", "Scene") if hasattr(known, name))):
+        kind = type(given)
+        name = kind.__name__ if kind.__module__ == "builtins" else f"{kind.__module__}.{kind.__name__}"
+        came = "None" if given is None else f"an object of {printable(name)}"
+        wanted = "the path of a file, a raygrid.Scene, a trimesh.Trimesh or a trimesh.Scene"
+        raise SceneMisuse(f"a scene came as {came}, wanted {wanted}")
+    from raygrid.host.scene.formats.trimesh_scene import scene_of_trimesh
+
+    try:
+        return _shown(scene_of_trimesh(given))
+    except SceneError as error:
+        error.args = (printable(str(error)),)
+        raise
 
 
 def _shown(scene: Scene) -> Scene:

@@ -1,11 +1,11 @@
-"""Turns, scales and shifts the surfaces of a file that is placed in a scene."""
+"""Turns, scales and shifts surfaces that are placed in a scene: of a file, or of a node in a tree of nodes."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from raygrid.node.errors import SceneError
 from raygrid.node.geometry import F64, Batch, Kind
@@ -44,6 +44,28 @@ def moved(batch: Batch, matrix: F64, shift: ArrayLike) -> F64:
         result[:, first : first + 3] = data[:, first : first + 3] @ matrix.T + offset
         result[:, first + 3] = data[:, first + 3] * scale
     return result
+
+
+def placed_faces(
+    matrix: F64, points: F64, faces: NDArray[np.int64], normals: F64 | None
+) -> tuple[Kind, F64, NDArray[np.int64]]:
+    """Triangles of a node: their kind, their data for a builder, and their faces, turned round if the node mirrors.
+
+    matrix   the node's to the world, (4, 4)
+    points   (n, 3)
+    faces    rows of the points, (t, 3)
+    normals  of the points, (n, 3); None: the triangles are flat
+    """
+    m = matrix[:3, :3]
+    if np.linalg.det(m) < 0.0:
+        faces = faces[:, (0, 2, 1)]  # a mirrored node would turn the fronts inside
+    data = (points @ m.T + matrix[:3, 3])[faces].reshape(-1, 9)
+    if normals is None:
+        return Kind.TRIANGLE, data, faces
+    # Cofactors turn normals as the inverse transpose does, and exist for flattened nodes too.
+    cofactors = np.stack((np.cross(m[1], m[2]), np.cross(m[2], m[0]), np.cross(m[0], m[1])))
+    turned = (normals @ cofactors.T) * math.copysign(1.0, np.linalg.det(m))
+    return Kind.SMOOTH, np.concatenate((data, turned[faces].reshape(-1, 9)), axis=1), faces
 
 
 def _inverse(matrix: F64) -> F64:

@@ -39,8 +39,9 @@ from raygrid.host.scene.lights import (
 from raygrid.host.scene.pose import Animation
 from raygrid.host.scene.scene import Scene
 from raygrid.host.scene.textures import Bytes, as_bytes, bake
+from raygrid.host.scene.transform import placed_faces
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry import F64, Kind, make_groups, rotation_matrices, unit_quaternions
+from raygrid.node.geometry import F64, make_groups, rotation_matrices, unit_quaternions
 
 Ints = NDArray[np.int64]
 
@@ -202,20 +203,11 @@ class _GltfReader:
             return
         local: F64 = self.document.accessor(attributes["POSITION"]).astype(np.float64)
         faces = self._faces(primitive, len(local))
-        if np.linalg.det(matrix[:3, :3]) < 0.0:
-            faces = faces[:, (0, 2, 1)]  # a mirrored node would turn the fronts inside
-        points = local @ matrix[:3, :3].T + matrix[:3, 3]
-        data = points[faces].reshape(-1, 9)
-        materials = self._face_materials(primitive, faces)
-        if "NORMAL" not in attributes:
-            self.builder.add(Kind.TRIANGLE, data, materials)
-            return
-        normals = self.document.accessor(attributes["NORMAL"]).astype(np.float64)
-        # Cofactors turn normals as the inverse transpose does, and exist for flattened nodes too.
-        m = matrix[:3, :3]
-        cofactors = np.stack((np.cross(m[1], m[2]), np.cross(m[2], m[0]), np.cross(m[0], m[1])))
-        turned = (normals @ cofactors.T) * math.copysign(1.0, np.linalg.det(m))
-        self.builder.add(Kind.SMOOTH, np.concatenate((data, turned[faces].reshape(-1, 9)), axis=1), materials)
+        normals = None
+        if "NORMAL" in attributes:
+            normals = self.document.accessor(attributes["NORMAL"]).astype(np.float64)
+        kind, data, faces = placed_faces(matrix, local, faces, normals)
+        self.builder.add(kind, data, self._face_materials(primitive, faces))
 
     def _faces(self, primitive: JsonObject, points: int) -> Ints:
         """The triangles' vertices, (t, 3)."""

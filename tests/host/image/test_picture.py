@@ -1,7 +1,8 @@
-"""A picture that is encoded ahead is the file that it would be otherwise, and errors are those of saving."""
+"""A picture that is encoded ahead is the file that it would be otherwise, and errors are those of saving; notebooks show it."""
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from raygrid.host.image import picture as module
 from raygrid.host.image.picture import Encoder, Picture
@@ -46,3 +47,24 @@ def test_errors_come_from_saving(tmp_path):
     with pytest.raises(OutputError, match="gone"):
         encoding.save(gone)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_notebook_shows_the_png_that_is_saved(tmp_path):
+    some_picture().save(tmp_path / "a.png")
+    shown = some_picture()._repr_png_()
+    assert type(shown) is bytes
+    assert shown == (tmp_path / "a.png").read_bytes()
+
+
+def test_as_an_array_it_is_the_values_of_a_display():
+    picture = some_picture()
+    values = np.asarray(picture)
+    assert (values.dtype, values.shape) == (np.uint8, (10, 20, 3))
+    np.testing.assert_array_equal(values, picture.bytes())
+    np.testing.assert_array_equal(np.asarray(Image.fromarray(values)), picture.bytes())
+    assert np.asarray(picture, np.float32).dtype == np.float32
+    np.testing.assert_array_equal(np.array(picture, np.float32), picture.bytes())
+    np.array(picture)[:] = 0
+    np.testing.assert_array_equal(np.asarray(picture), values)
+    with pytest.raises(ValueError, match="wanted a copy"):
+        np.array(picture, copy=False)

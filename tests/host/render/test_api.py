@@ -1,5 +1,6 @@
 """The Python interface: launch an array, render scenes on it, from anywhere a program may want to."""
 
+import importlib.metadata
 import itertools
 import math
 import os
@@ -11,6 +12,7 @@ import threading
 import numpy as np
 import psutil
 import pytest
+import trimesh
 from support.cli import TINY, here, warm_kernels
 from support.render import EIGHT, SCENES, rendered
 
@@ -41,13 +43,22 @@ def alone(path, shape=(2, 1, 1), **settings):
 
 
 def test_names_are_loaded_when_used():
-    assert set(raygrid.__all__) <= {name for name in dir(raygrid) if not name.startswith("_")} | set(raygrid.__all__)
     for name in raygrid.__all__:
         assert getattr(raygrid, name) is not None
     with pytest.raises(AttributeError, match="module 'raygrid' has no attribute 'ray'"):
         raygrid.ray  # noqa: B018
     script = "import sys, raygrid; sys.exit(str({'numpy', 'numba', 'zmq'} & set(sys.modules) or ''))"
     assert subprocess.run([sys.executable, "-c", script], capture_output=True, timeout=60, text=True).stderr == "\n"
+
+
+def test_the_package_lists_its_names_and_says_its_version():
+    public = [name for name in dir(raygrid) if not name.startswith("_")]
+    assert public == sorted(raygrid.__all__)
+    assert {"__version__", "__doc__", "__all__"} <= set(dir(raygrid))
+    assert raygrid.__version__ == importlib.metadata.version("raygrid")
+    look = "import sys, raygrid; dir(raygrid), raygrid.__version__; print(*sys.modules)"
+    run = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True, timeout=60)
+    assert not {"numpy", "numba", "zmq", "trimesh", "PIL", "raygrid.host"} & set(run.stdout.split())
 
 
 @pytest.mark.parametrize("shape", ["2x2x2", (2, 2, 2)], ids=["text", "numbers"])
@@ -84,6 +95,28 @@ def test_a_scene_can_be_loaded_once_and_rendered_often(machine):
     pictures = [machine.render(scene, size=SIZE, samples=samples) for samples in (1, 4, 1)]
     assert np.array_equal(pictures[0].sums, pictures[2].sums)
     assert [picture.samples for picture in pictures] == [1, 4, 1]
+
+
+def test_meshes_in_memory_are_rendered_as_their_files_are(machine, tmp_path):
+    mesh = trimesh.creation.box(extents=(1.0, 2.0, 0.5))
+    mesh.visual.face_colors = np.tile(np.array([(255, 0, 0, 255), (0, 90, 255, 255)], np.uint8), (6, 1))
+    mesh.export(tmp_path / "box.ply")
+    of_file = machine.render(tmp_path / "box.ply", size=SIZE)
+    assert np.array_equal(machine.render(mesh, size=SIZE).sums, of_file.sums)
+    assert np.array_equal(machine.render(trimesh.Scene(mesh), size=SIZE).sums, of_file.sums)
+    (frame,) = machine.render_frames(raygrid.load_scene(mesh), [1], size=SIZE)
+    assert np.array_equal(frame.sums, of_file.sums)
+    assert len(np.unique(of_file.sums.reshape(-1, 3), axis=0)) > 2
+
+
+def test_what_is_no_scene_is_refused_in_one_sentence(machine):
+    for given in (None, np.zeros((2, 3)), [TINY]):
+        with pytest.raises(
+            raygrid.SceneError, match=r"^a scene came as .*, wanted the path of a file, a raygrid\.Scene, "
+        ):
+            machine.render(given)
+    with pytest.raises(raygrid.SceneError, match="the mesh has no faces, wanted at least one"):
+        machine.render(trimesh.Trimesh())
 
 
 @pytest.mark.parametrize(
