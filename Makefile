@@ -7,7 +7,7 @@ STAMP  := $(VENV)/.installed
 PIP    := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet
 
 .DEFAULT_GOAL := help
-.PHONY: help render test test-long style types check bench faults fuzz fuzz-scenes clean
+.PHONY: help render test test-long style types check wheel-check picture bench faults fuzz fuzz-scenes clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -28,7 +28,7 @@ render: $(STAMP) ## render a room with a mirror ball and a glass ball on a 2x2x2
 	@echo "the picture is out/room.png"
 
 # two at a time; all tests of a file by one of them, since they share what is dear to make; in the order of
-# tests/support_order.py, not by how many tests a file has
+# tests/support/order.py, not by how many tests a file has
 WORKERS ?= 2
 PYTEST  := $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile --no-loadscope-reorder
 
@@ -48,7 +48,17 @@ types: $(VENV)/.dev ## mypy, over links that show the packages under their impor
 	@ln -sfn ../../../host/facade/__init__.py build/types/raygrid/__init__.py
 	cd build/types && ../../$(BIN)/mypy --config-file ../../pyproject.toml -p raygrid
 
-check: style types test ## style, types and tests
+# one after the other even under make -j, so that what is printed last is what failed first
+check: ## style, types and tests: what .ci/run and every forge call
+	@$(MAKE) --no-print-directory style
+	@$(MAKE) --no-print-directory types
+	@$(MAKE) --no-print-directory test
+
+wheel-check: $(STAMP) ## build the wheel, install it into an empty environment, and use it there
+	$(BIN)/python -m pytest tests/system/test_wheel.py
+
+picture: $(STAMP) ## draw docs/architecture.svg, the packages and what they import
+	$(BIN)/python docs/make_picture.py
 
 bench: $(STAMP) ## measure speed and write docs/performance.md
 	$(BIN)/python benchmarks/bench.py --write docs/performance.md

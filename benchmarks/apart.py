@@ -16,8 +16,8 @@ import subprocess
 import sys
 from typing import IO
 
-from raygrid.host.interface import launch, load_scene
-from raygrid.host.picture import Picture
+from raygrid.host.image.picture import Picture
+from raygrid.host.render.api import launch, load_scene
 
 
 def _cpu(picture: Picture) -> float:

@@ -18,7 +18,7 @@ import time
 import zmq
 
 SIZE, HEAD = 25, 20
-WINDOW = 128  # messages that ZeroMQ may hold on each side, as in `node.pair`
+WINDOW = 128  # messages that ZeroMQ may hold on each side, as in `node.links.zmq_channel`
 
 
 def _receive(endpoint: str, messages: int, told: int) -> None:

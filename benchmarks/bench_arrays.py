@@ -20,8 +20,8 @@ picture in memory (split, flood, building, tracing, collecting), as each process
 ZeroMQ's threads included) and the nodes report it. Start-up is not in it, so that it is the array's own overhead. All
 arrays are launched at once and render in turn; an array that waits takes no CPU time."""
 WHOLE_CPU = """\
-CPU of a whole command is what the kernel has added up when it ends: of the front end, of the nursery, which it waits
-for, and of all nodes, which the nursery waits for. Starting Python, numba and ZeroMQ is a large part of it."""
+CPU of a whole command is what the kernel has added up when it ends: of the front end, of the fork server, which it waits
+for, and of all nodes, which the fork server waits for. Starting Python, numba and ZeroMQ is a large part of it."""
 
 
 def scenes(names: tuple[str, ...]) -> list[Path | BenchError]:

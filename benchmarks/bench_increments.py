@@ -16,12 +16,11 @@ from statistics import median
 
 import numpy as np
 
-from raygrid.emulator.array import Array
-from raygrid.emulator.driver import Driver
-from raygrid.node.lattice import make_space
-from raygrid.node.motions import Moves, at_rest, make_groups
-from raygrid.node.packets import LATTICE
-from raygrid.node.surfaces import Batch, Kind, SurfaceSet
+from raygrid.emulator.driver.driver import Driver
+from raygrid.emulator.processes.array import Array
+from raygrid.node.geometry.lattice import LATTICE, make_space
+from raygrid.node.geometry.rigid_motion import Moves, at_rest, make_groups
+from raygrid.node.geometry.surfaces import Batch, Kind, SurfaceSet
 
 SURFACES, GROUPS = 100_000, 10
 REPEATS = 7

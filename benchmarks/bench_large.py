@@ -21,7 +21,7 @@ def measure(runs: int, side: int, triangles: int) -> Section:
     """The section."""
     section = Section(f"e. A frame of {side}x{side}, a mesh of {triangles:,} triangles; runs: {runs}")
     section.say(
-        "Memory of all processes is the most that front end, nursery and nodes held together at any time, shared pages "
+        "Memory of all processes is the most that front end, fork server and nodes held together at any time, shared pages "
         f"counted once (Pss), looked at every {SAMPLE:g} s. Surface memory is what a node holds of the scene: "
         "descriptions, derived tables and the hierarchy."
     )

@@ -16,15 +16,16 @@ import math
 import os
 import statistics
 import time
+from dataclasses import replace
 
-from raygrid.emulator.array import Array
-from raygrid.emulator.limits import parse_shape
-from raygrid.emulator.memory_array import MemoryArray
-from raygrid.host.job import Job, Settings, make_job
-from raygrid.host.load import load_scene
-from raygrid.host.probe_sums import Gauges
-from raygrid.host.render import render_job
-from raygrid.node.probe import memory, sample
+from raygrid.emulator.driver.memory_array import MemoryArray
+from raygrid.emulator.processes.array import Array
+from raygrid.emulator.topology.limits import parse_shape
+from raygrid.host.probes.sums import Gauges
+from raygrid.host.render.frame import render_job
+from raygrid.host.render.job import Job, Settings, make_job
+from raygrid.host.scene.load import load_scene
+from raygrid.node.runtime.probe import memory, sample
 
 COLUMNS = (
     "wall seconds of a frame",
@@ -43,7 +44,7 @@ def frames(array: Array, job: Job, rate: float, runs: int) -> dict[float, list[t
         now = (0.0, rate)[run % 2]
         array.probe(now, gauges.take)
         spent, before = time.process_time(), gauges.samples
-        picture = render_job(array.driver, job, loaded=run > 0)
+        picture = render_job(array.driver, replace(job, load_key="held"))
         seconds = picture.stats["wall_seconds"]
         if run:  # the first one loads, and warms up
             front = time.process_time() - spent
@@ -55,7 +56,7 @@ def frames(array: Array, job: Job, rate: float, runs: int) -> dict[float, list[t
 
 def one_sample(job: Job) -> float:
     """Microseconds that a node needs to make one sample and pack it."""
-    from raygrid.node.maps import pack_map
+    from raygrid.node.protocol.codec import pack_map
 
     array = MemoryArray(job.space.shape)
     array.driver.ready()

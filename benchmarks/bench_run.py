@@ -34,7 +34,7 @@ class Run:
 
     wall    seconds from starting it to its end
     cpu     user and system seconds of the command and of all processes that it and they have started: the kernel adds
-            up for a process what it waited for, the nursery waits for all nodes, and the front end for the nursery
+            up for a process what it waited for, the fork server waits for all nodes, and the front end for the fork server
     memory  bytes, the most that all of them together held at one time (shared pages counted once); 0 if not watched
     output  what it wrote to standard output and error
     stats   the statistics that raygrid wrote, if asked

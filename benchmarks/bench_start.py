@@ -11,7 +11,7 @@ from bench_tables import Section, Table, spread
 TINY = ROOT / "scenes" / "tiny.nff"
 PROMISED = {"2x2x2": 0.2, "4x4x4": 1.0}  # seconds until ready
 PHASES = (
-    ("read", "from the program's begin until the scene is read; the nursery warms up beside it"),
+    ("read", "from the program's begin until the scene is read; the fork server warms up beside it"),
     ("launch", "until the nodes are forked and every link is up, what is left of the warm-up included"),
     ("load", "flood and building of the hierarchies"),
     ("trace", ""),
@@ -60,7 +60,7 @@ def _ready(section: Section, table: Table, runs: int, shapes: tuple[str, ...]) -
     arrays = [word for shape in shapes for word in ("--array", shape)]
     lines = script("ready.py", *arrays, "--runs", str(runs))
     words = f"`python benchmarks/ready.py {' '.join(arrays)} --runs {runs}`"
-    table.add("warming up the nursery", spread(line["warm"] for line in lines), words)
+    table.add("warming up the fork server", spread(line["warm"] for line in lines), words)
     for shape in shapes:
         mine = [line for line in lines if line["array"] == shape]
         ready = spread(line["ready"] for line in mine)

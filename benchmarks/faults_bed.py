@@ -15,15 +15,17 @@ from typing import Any, Self
 
 import numpy as np
 
-from raygrid.emulator import driver
-from raygrid.emulator.array import WARM_SECONDS, Array
-from raygrid.emulator.launch import Nursery
-from raygrid.host.job import Job, Settings, make_job
-from raygrid.host.load import load_scene
-from raygrid.host.picture import Picture
-from raygrid.host.program_file import read_program
-from raygrid.host.shot_jobs import ShotJobs
-from raygrid.host.steady import Fault, render_steadily
+from raygrid.emulator.driver import driver
+from raygrid.emulator.processes.array import WARM_SECONDS, Array
+from raygrid.emulator.processes.fork_server_client import ForkServerClient
+from raygrid.host.image.picture import Picture
+from raygrid.host.render.animation_jobs import AnimationJobs
+from raygrid.host.render.frame import Watch
+from raygrid.host.render.job import Job, Settings, make_job
+from raygrid.host.render.program_file import read_program
+from raygrid.host.render.retry import FaultReport
+from raygrid.host.render.session import RenderSession
+from raygrid.host.scene.load import load_scene
 from raygrid.node.errors import RaygridError
 
 Shape = tuple[int, int, int]
@@ -102,7 +104,7 @@ class Strike:
             self.at = time.perf_counter()
 
     def watch(self, phase: str, progress: Any) -> None:
-        """Told by render_steadily."""
+        """Told by a render session."""
         self._seen += phase == "trace" and progress is not None
         if self.moment == phase != "trace" or (
             self.moment == "trace" and (self._seen >= self.nth or phase == "collect")
@@ -140,7 +142,7 @@ class Bed:
         noticed: list[float] = []
         ready: list[float] = []
 
-        def on_fault(fault: Fault) -> None:
+        def on_fault(fault: FaultReport) -> None:
             self.faults.append(fault.what)
             if strike.at and not noticed:
                 told = time.perf_counter() - fault.seconds[1]
@@ -222,9 +224,14 @@ def struck_reset(array: Array, strike: Strike) -> Any:
         del array._hang_up  # type: ignore[method-assign]
 
 
-def render(array: Array, frame: Frame = SMALL, **options: Any) -> Picture:
+def render(
+    array: Array,
+    frame: Frame = SMALL,
+    watch: Watch | None = None,
+    on_fault: Callable[[FaultReport], None] | None = None,
+) -> Picture:
     """A frame of the campaign."""
-    return render_steadily(array, job(array.shape, frame), frame.budget, attempts=ATTEMPTS, **options)
+    return RenderSession(array, ATTEMPTS, on_fault).render(job(array.shape, frame), frame.budget, watch)
 
 
 def judge(work: Callable[[], Picture], bed: Bed, frame: Frame = SMALL) -> Outcome:
@@ -247,9 +254,9 @@ def job(shape: Shape, frame: Frame = SMALL) -> Job:
 
 
 @cache
-def shot(shape: Shape, scene: Path, settings: Settings) -> ShotJobs:
+def shot(shape: Shape, scene: Path, settings: Settings) -> AnimationJobs:
     """The frames of a shot, which share their surfaces: so they can follow each other by increments."""
-    return ShotJobs(load_scene(scene), shape, settings, 1)
+    return AnimationJobs(load_scene(scene), shape, settings, 1)
 
 
 @cache
@@ -268,8 +275,8 @@ def right(picture: Picture, shape: Shape, frame: Frame = SMALL) -> bool:
 
 def warm() -> None:
     """Compile what is not in the cache yet, so that no case has to wait for it."""
-    with Nursery.start() as nursery:
-        nursery.wait_warm(WARM_SECONDS)
+    with ForkServerClient.start() as fork_server:
+        fork_server.wait_warm(WARM_SECONDS)
     with Array.launch((1, 1, 1), programs=True, patience=WARM_SECONDS) as array:
         render(array, programmed())
 

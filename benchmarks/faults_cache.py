@@ -17,7 +17,7 @@ from typing import Self
 from faults_bed import Case, Outcome
 from faults_service import SAMPLES, SHAPE, SIZE, TINY, Wrong, command, one_line, right
 
-from raygrid.node import kernel_cache
+from raygrid.node.jit import cache
 
 ROOT = Path(__file__).parents[1]
 FILES = 3  # that are damaged at once
@@ -83,9 +83,9 @@ class CacheBed:
 
 def copy_cache(to: Path) -> None:
     """Copy the kernels of this state of the sources, and of this place of them only if it has a directory by its name."""
-    if kernel_cache.DIRECTORY is None:
+    if cache.DIRECTORY is None:
         raise Wrong("there is no cache to damage")
-    source = Path(kernel_cache.DIRECTORY)
+    source = Path(cache.DIRECTORY)
     ours = _of_this_place(source)
     for folder in source.iterdir():
         if folder.is_dir() and (not ours or folder in ours or folder.name.startswith("program-")):

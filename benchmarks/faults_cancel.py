@@ -16,7 +16,7 @@ from faults_bed import Case, Outcome
 from faults_service import NAME, ServiceBed, Wrong, right, submit, wait_until
 
 import raygrid
-from raygrid.host.client import Service
+from raygrid.host.client.client import Service
 from raygrid.node.errors import RaygridError
 
 POLYGONS = 400_000

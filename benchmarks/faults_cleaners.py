@@ -19,9 +19,9 @@ from faults_bed import Case, Outcome
 from faults_service import MOBILE, NAME, ServiceBed, Wrong, command, one_line, right, services, submit
 
 import raygrid
-from raygrid.emulator import places
-from raygrid.host.client import Service
-from raygrid.host.service_files import LOCK, LOG, RECORD, SOCKET, TOKEN, state_directory
+from raygrid.emulator.topology import socket_directory
+from raygrid.host.client.client import Service
+from raygrid.host.client.service_files import LOCK, LOG, RECORD, SOCKET, TOKEN, state_directory
 from raygrid.node.errors import RaygridError
 
 FRAMES = 3
@@ -30,7 +30,7 @@ DONE_SECONDS = 30.0
 Clean = Callable[[ServiceBed], None]
 
 
-def _door(bed: ServiceBed) -> None:
+def _listener(bed: ServiceBed) -> None:
     shutil.rmtree(bed.record.directory)
 
 
@@ -45,8 +45,8 @@ def _token(bed: ServiceBed) -> None:
 def _links(bed: ServiceBed) -> None:
     """The sockets of the nodes, with their directories."""
     door = bed.record.directory
-    for base in map(Path, places.bases()):
-        for folder in base.glob(f"{places.PREFIX}*"):
+    for base in map(Path, socket_directory.bases()):
+        for folder in base.glob(f"{socket_directory.PREFIX}*"):
             if str(folder) != door and str(folder).startswith(str(bed.root)):
                 shutil.rmtree(folder, ignore_errors=True)
 
@@ -90,7 +90,7 @@ def _temporary(bed: ServiceBed) -> None:
 
 CLEANS: tuple[Clean, ...] = (
     *(
-        _door,
+        _listener,
         _socket,
         _token,
         _links,

@@ -17,7 +17,7 @@ from faults_bed import Case, Outcome
 from faults_service import NAME, ServiceBed, Wrong, command, one_line, right, submit
 
 import raygrid
-from raygrid.host.service_files import SOCKET
+from raygrid.host.client.service_files import SOCKET
 from raygrid.node.errors import RaygridError
 
 

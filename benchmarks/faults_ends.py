@@ -19,7 +19,7 @@ from raygrid.node.errors import OutputError, RaygridError
 
 FRONT_END = """
 import sys
-from raygrid.host.interface import launch
+from raygrid.host.render.api import launch
 shape, scene, moment, nth, *numbers = sys.argv[1:]
 seen = 0
 def tell():
@@ -31,7 +31,7 @@ with launch(shape) as machine:
         seen += phase == "trace" and progress is not None
         if phase == moment and (phase != "trace" or seen == int(nth)):
             tell()
-    print(*machine.pids, machine._array._nursery.pid, machine._array._place.path, flush=True)
+    print(*machine.pids, machine._array._fork_server.pid, machine._array._place.path, flush=True)
     if moment == "idle":
         tell()
     width, height, samples, budget = map(int, numbers)

@@ -18,7 +18,7 @@ from faults_bed import Case, Outcome
 from faults_service import MOBILE, NAME, TINY, ServiceBed, Wrong, one_line, right, submit
 
 import raygrid
-from raygrid.host.service_files import JOURNAL, state_directory
+from raygrid.host.client.service_files import JOURNAL, state_directory
 from raygrid.node.errors import RaygridError
 
 FRAMES = 3

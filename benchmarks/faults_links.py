@@ -14,12 +14,12 @@ from pathlib import Path
 import zmq
 from faults_bed import ATTEMPTS, BUDGET, Bed, Case, Outcome, job, right
 
-from raygrid.emulator.array import Array
-from raygrid.host.steady import render_steadily
+from raygrid.emulator.processes.array import Array
+from raygrid.host.render.session import RenderSession
 from raygrid.node.errors import RaygridError
-from raygrid.node.faulty import FAULT_KINDS, FaultPlan
-from raygrid.node.link import VERSION
-from raygrid.node.messages import MessageKind, pack_message, pack_order
+from raygrid.node.links.faulty_channel import FAULT_KINDS, FaultPlan
+from raygrid.node.links.link import VERSION
+from raygrid.node.protocol.messages import MessageKind, pack_message, pack_order
 
 BATCH = 64  # packets a message: many messages, and so many that can be hit
 FRAMES = 4  # frames over the same bad links
@@ -51,7 +51,7 @@ def _bad_links(kind: str) -> Callable[[random.Random], list[Case]]:
 
 def _frame(array: Array, bed: Bed) -> Outcome:
     try:
-        picture = render_steadily(array, job(bed.shape), BUDGET, attempts=ATTEMPTS)
+        picture = RenderSession(array, ATTEMPTS).render(job(bed.shape), BUDGET)
     except RaygridError as error:
         with contextlib.suppress(RaygridError):
             array.reset()

@@ -1,4 +1,4 @@
-"""Faults of processes for the campaign: nodes and the nursery killed, stopped, starved of memory or descriptors."""
+"""Faults of processes for the campaign: nodes and the fork server killed, stopped, starved of memory or descriptors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from functools import partial
 
 from faults_bed import LARGE, MOMENTS, Bed, Case, Outcome, Strike, judge, render, right
 
-from raygrid.node.messages import MessageKind
+from raygrid.node.protocol.messages import MessageKind
 
 # Descriptors: with 8 a node can wait for those that it has, but open no socket. With 3 the kernel refuses to let it
 # wait for more than 3 at once as well, and ZeroMQ gives up.
@@ -51,13 +51,13 @@ def _send(pid: int, sign: signal.Signals) -> None:
         return
 
 
-def _nursery(rng: random.Random) -> list[Case]:
+def _fork_server(rng: random.Random) -> list[Case]:
     def act(bed: Bed) -> None:
-        nursery = bed.array._nursery
-        assert nursery is not None
-        os.kill(nursery.pid, signal.SIGKILL)
+        fork_server = bed.array._fork_server
+        assert fork_server is not None
+        os.kill(fork_server.pid, signal.SIGKILL)
 
-    return [_strike("nursery killed", rng.choice(MOMENTS[:4]), rng.randint(1, 4), act)]
+    return [_strike("fork server killed", rng.choice(MOMENTS[:4]), rng.randint(1, 4), act)]
 
 
 def _memory(rng: random.Random) -> list[Case]:
@@ -182,7 +182,7 @@ GROUPS = {
     "half of the nodes killed": _signals("SIGKILL of half", signal.SIGKILL, lambda nodes: nodes // 2),
     "all nodes stopped": _signals("SIGSTOP of all", signal.SIGSTOP, lambda nodes: nodes),
     "stopped and reset": _deaf,
-    "nursery killed": _nursery,
+    "fork server killed": _fork_server,
     "memory of a node limited": _memory,
     "descriptors of a node used up": _descriptors,
     "rubbish on a corner link": _rubbish,

@@ -12,7 +12,7 @@ from faults_bed import Case, Outcome
 from faults_service import NAME, ServiceBed, neighbour, one_line, right, submit
 
 import raygrid
-from raygrid.host.service_files import state_directory
+from raygrid.host.client.service_files import state_directory
 from raygrid.node.errors import RaygridError
 
 Make = Callable[[Path], Path]  # makes what is in the way; returns the path of the output

@@ -20,10 +20,10 @@ import psutil
 from faults_bed import BUDGET, SCENES, SETTINGS, Case, Frame, Outcome, render, truth
 
 import raygrid
-from raygrid.emulator.array import Array
-from raygrid.host.client import Service, wait_gone
-from raygrid.host.job import Settings
-from raygrid.host.service_files import Record, find, state_directory
+from raygrid.emulator.processes.array import Array
+from raygrid.host.client.client import Service, wait_gone
+from raygrid.host.client.service_files import ServiceRecord, find, state_directory
+from raygrid.host.render.job import Settings
 from raygrid.node.errors import RaygridError
 
 RAYGRID = str(Path(sys.executable).with_name("raygrid"))
@@ -134,7 +134,7 @@ class ServiceBed:
         folder.mkdir()
 
     @property
-    def record(self) -> Record:
+    def record(self) -> ServiceRecord:
         """Where it is."""
         return find(NAME)
 
@@ -171,7 +171,7 @@ def services() -> list[psutil.Process]:
     for process in psutil.process_iter():
         with contextlib.suppress(psutil.Error, OSError):
             line = process.cmdline()
-            if "raygrid.host.service_process" in line and line[line.index("raygrid.host.service_process") + 1] == NAME:
+            if "raygrid.host.service.process" in line and line[line.index("raygrid.host.service.process") + 1] == NAME:
                 environment = process.environ()
                 if environment.get("XDG_STATE_HOME") == os.environ["XDG_STATE_HOME"]:
                     found.append(process)

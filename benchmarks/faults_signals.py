@@ -21,7 +21,7 @@ from faults_bed import Case, Outcome
 from faults_service import MOBILE, NAME, ServiceBed, Wrong, right, submit, wait_until
 
 import raygrid
-from raygrid.host.client import Service, wait_gone
+from raygrid.host.client.client import Service, wait_gone
 from raygrid.node.errors import RaygridError
 
 JOBS, FRAMES = 3, 4

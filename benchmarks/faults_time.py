@@ -36,12 +36,12 @@ def _kill(sign: signal.Signals, seed: float, part_of: float = 0.0) -> Act:
     return act
 
 
-def _nursery(sign: signal.Signals) -> Act:
+def _fork_server(sign: signal.Signals) -> Act:
     def act(bed: Bed) -> None:
-        nursery = bed.array._nursery
-        if nursery is not None:
+        fork_server = bed.array._fork_server
+        if fork_server is not None:
             with contextlib.suppress(ProcessLookupError):
-                os.kill(nursery.pid, sign)
+                os.kill(fork_server.pid, sign)
 
     return act
 
@@ -53,7 +53,7 @@ def _acts(rng: random.Random) -> list[tuple[str, Act]]:
         ("SIGSTOP", _kill(signal.SIGSTOP, rng.random())),
         ("SIGSEGV", _kill(signal.SIGSEGV, rng.random())),
         ("SIGKILL of half", _kill(signal.SIGKILL, rng.random(), 0.5)),
-        ("SIGKILL of the fork server", _nursery(signal.SIGKILL)),
+        ("SIGKILL of the fork server", _fork_server(signal.SIGKILL)),
     ]
 
 
@@ -110,7 +110,7 @@ def _stopped_server(rng: random.Random) -> list[Case]:
 
     def do(bed: Bed, part: float, frame: Frame, seed: float) -> Outcome:
         def act() -> None:
-            _nursery(signal.SIGSTOP)(bed)
+            _fork_server(signal.SIGSTOP)(bed)
             _kill(signal.SIGKILL, seed)(bed)
 
         begun = time.perf_counter()
@@ -118,7 +118,7 @@ def _stopped_server(rng: random.Random) -> list[Case]:
         return _prompt(outcome, time.perf_counter() - begun)
 
     def idle(bed: Bed, seed: float) -> Outcome:
-        _nursery(signal.SIGSTOP)(bed)
+        _fork_server(signal.SIGSTOP)(bed)
         _kill(signal.SIGKILL, seed)(bed)
         begun = time.perf_counter()
         noticed = False
@@ -135,7 +135,7 @@ def _stopped_server(rng: random.Random) -> list[Case]:
         return _prompt(judge(lambda: render(bed.array), bed), time.perf_counter() - begun)
 
     def reset(bed: Bed) -> Outcome:
-        strike = Strike("reset", 1, lambda: _nursery(signal.SIGSTOP)(bed))
+        strike = Strike("reset", 1, lambda: _fork_server(signal.SIGSTOP)(bed))
         begun = time.perf_counter()
         return _prompt(bed.strike(strike), time.perf_counter() - begun)
 

@@ -25,9 +25,9 @@ from faults_cache import copy_cache
 from faults_service import NAME, SAMPLES, SIZE, TINY, ServiceBed, Wrong, command, one_line, right, submit
 
 import raygrid
-from raygrid.emulator import places
-from raygrid.host.service_files import JOURNAL, LOCK, LOG, RECORD, SOCKET, TOKEN, state_directory
-from raygrid.node import kernel_cache
+from raygrid.emulator.topology import socket_directory
+from raygrid.host.client.service_files import JOURNAL, LOCK, LOG, RECORD, SOCKET, TOKEN, state_directory
+from raygrid.node.jit import cache as kernel_cache
 
 NOBODY = 65534
 Try = Callable[[], str]  # what was got; "" for nothing
@@ -131,7 +131,9 @@ def _tries(bed: ServiceBed) -> dict[str, list[Try]]:
     door, state = Path(bed.record.directory), state_directory(NAME)
     with raygrid.connect(NAME) as array:
         pids = [array.pid, *(node["pid"] for node in array.status()["nodes"])]
-    arrays = [folder for base in map(Path, places.bases()) for folder in base.glob(f"{places.PREFIX}*")]
+    arrays = [
+        folder for base in map(Path, socket_directory.bases()) for folder in base.glob(f"{socket_directory.PREFIX}*")
+    ]
     ours = [folder for folder in arrays if str(folder).startswith(str(bed.root))]
     sockets = [path for folder in ours for path in folder.iterdir() if stat.S_ISSOCK(path.lstat().st_mode)]
     files = [door / TOKEN, *(state / name for name in (JOURNAL, LOG, LOCK, RECORD)), *state.glob("journal*")]

@@ -17,9 +17,9 @@ import json
 import time
 from typing import Any
 
-from raygrid.host.interface import Machine, launch, load_scene
-from raygrid.host.picture import Picture
-from raygrid.host.scene import Scene
+from raygrid.host.image.picture import Picture
+from raygrid.host.render.api import Machine, launch, load_scene
+from raygrid.host.scene.scene import Scene
 
 
 class Meter:

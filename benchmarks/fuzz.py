@@ -35,18 +35,20 @@ import zmq
 from faults_bed import SMALL, job, right, truth
 from faults_links import _babble, intruder
 
-from raygrid.emulator.array import Array
-from raygrid.emulator.driver import Progress
-from raygrid.host.steady import RECOVERABLE, render_steadily
+from raygrid.emulator.driver.admission import Progress
+from raygrid.emulator.processes.array import Array
+from raygrid.host.render.retry import RECOVERABLE
+from raygrid.host.render.session import RenderSession
 from raygrid.node.errors import Garbled, ProtocolError
-from raygrid.node.link import Link, State
+from raygrid.node.geometry.grid_walk import HOST
+from raygrid.node.links.link import Link, LinkPhase
+from raygrid.node.links.zmq_channel import ZmqChannel
 from raygrid.node.main import open_links
-from raygrid.node.messages import CHECKSUM, SUMMED, MessageKind, pack_message
-from raygrid.node.packets import SIZE, first_fault
-from raygrid.node.pair import Pair
-from raygrid.node.processor import Processor
-from raygrid.node.tables import frame_limits
-from raygrid.node.walk import HOST
+from raygrid.node.protocol.frame_tables import frame_limits
+from raygrid.node.protocol.messages import CHECKSUM_FIELD, SUMMED, MessageKind, pack_message
+from raygrid.node.protocol.packets import SIZE, first_fault
+from raygrid.node.protocol.reset import NodeConfig
+from raygrid.node.runtime.processor import Processor
 
 SHAPE = (2, 2, 2)
 PLACE = (1, 1, 1)  # of the hostile node: a leaf of the tree of waves
@@ -61,30 +63,30 @@ class HostileArray(Array):
         super().__init__(SHAPE, patience=WAIT)
         self.hostile = True
         self.node: Processor | None = None
-        self._own: dict[int, Pair] = {}
+        self._own: dict[int, ZmqChannel] = {}
 
     def _begin_epoch(self) -> None:
-        assert self._crew is not None
+        assert self._node_processes is not None
         self.hang_up_own()
-        crew, begin = self._crew, type(self._crew).begin
+        node_processes, begin = self._node_processes, type(self._node_processes).begin
 
         def begin_others(configs: dict[Any, Any]) -> int:
             mine = configs.pop(PLACE)
-            forked = begin(crew, configs)
+            forked = begin(node_processes, configs)
             self._open(mine)
             return forked
 
         if self.hostile:
-            crew.begin = begin_others  # type: ignore[method-assign]
-        elif "begin" in vars(crew):
-            del crew.begin  # type: ignore[method-assign]
+            node_processes.begin = begin_others  # type: ignore[method-assign]
+        elif "begin" in vars(node_processes):
+            del node_processes.begin  # type: ignore[method-assign]
         super()._begin_epoch()
 
     def _open(self, config: dict[str, Any]) -> None:
         assert self._context is not None
         for link in config["links"]:
-            self._own[link["port"]] = Pair(self._context, link["endpoint"], link["bind"])
-        self.node = Processor(PLACE, SHAPE, open_links(config, self._own), self.batch)
+            self._own[link["port"]] = ZmqChannel(self._context, link["endpoint"], link["bind"])
+        self.node = Processor(PLACE, SHAPE, open_links(NodeConfig.of(config), self._own), self.batch)
 
     def hang_up_own(self) -> None:
         """Close the hostile node's links."""
@@ -139,7 +141,7 @@ class Fuzz:
         links = self.array.neighbours()
         while count > 0:
             for link in links:
-                if link.waiting < 64 and link.state is State.UP:
+                if link.waiting < 64 and link.state is LinkPhase.UP:
                     for payload in self.bad_packets(32):
                         many = self.random.choice((1, 1, 1, 2, 3))
                         how = self.random.random()
@@ -175,9 +177,9 @@ class Fuzz:
 
     def send_words(self, count: int) -> None:
         """Anything on the lines; never a reset that could be obeyed."""
-        assert self.array._crew is not None
-        lines = self.array._crew.lines
-        for index in list(self.array._crew.pids):
+        assert self.array._node_processes is not None
+        lines = self.array._node_processes.control_channels
+        for index in list(self.array._node_processes.pids):
             line = lines._lines[index]
             for _ in range(count):
                 data = (
@@ -236,13 +238,17 @@ class Fuzz:
         elif how == "kind":
             good = bytes([choose((0, 10, 255))]) + good[1:]
         elif how == "checksum":
-            good = good[:SUMMED] + CHECKSUM.pack(self.random.randrange(1 << 32)) + good[SUMMED + CHECKSUM.size :]
+            good = (
+                good[:SUMMED]
+                + CHECKSUM_FIELD.pack(self.random.randrange(1 << 32))
+                + good[SUMMED + CHECKSUM_FIELD.size :]
+            )
         elif how == "sequence":
             good = pack_message(
-                int(choose(orders)), link.epoch, link.sent + choose((1, 77, 2**31)) & 0xFFFFFFFF, 0, 0, b""
+                int(choose(orders)), link.epoch, link.messages_sent + choose((1, 77, 2**31)) & 0xFFFFFFFF, 0, 0, b""
             )
         elif how == "credit":
-            good = pack_message(int(MessageKind.CREDIT), link.epoch, link.sent & 0xFFFFFFFF, 2**31, 0, b"")
+            good = pack_message(int(MessageKind.CREDIT), link.epoch, link.messages_sent & 0xFFFFFFFF, 2**31, 0, b"")
         elif how == "again":
             good = pack_message(
                 *link._header(choose((MessageKind.HELLO, MessageKind.ACK, MessageKind.BYE_ACK)), 0), b"\x80"
@@ -283,8 +289,8 @@ def epoch(array: HostileArray, fuzz: Fuzz, packets: int, words: int) -> None:
     for link in array.neighbours():
         fuzz.send_breaking(link)
     while array._lost is None:
-        assert array._crew is not None
-        select.select(array._crew.filenos(), [], [], 0.05)
+        assert array._node_processes is not None
+        select.select(array._node_processes.filenos(), [], [], 0.05)
         try:
             array.check()
         except RECOVERABLE:
@@ -327,7 +333,7 @@ def main() -> int:
         same_nodes = array.pids == pids
         array.hostile = False
         array.reset()
-        picture = render_steadily(array, job(SHAPE))
+        picture = RenderSession(array).render(job(SHAPE))
         same_bits = right(picture, SHAPE)
     for what, count in sorted(fuzz.sent.items()):
         print(f"{what:24}{count:10}")

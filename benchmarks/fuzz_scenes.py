@@ -32,13 +32,13 @@ from typing import NamedTuple
 import numpy as np
 from fuzz_scenes_texts import FORMATS, Case, make_case
 
-from raygrid.emulator.array import Array
-from raygrid.emulator.memory_array import MemoryArray
-from raygrid.emulator.warm import warm
-from raygrid.host.job import Job, Settings, make_job
-from raygrid.host.load import load_scene
-from raygrid.host.picture import Picture
-from raygrid.host.render import render_job
+from raygrid.emulator.driver.memory_array import MemoryArray
+from raygrid.emulator.processes.array import Array
+from raygrid.emulator.processes.warm import warm
+from raygrid.host.image.picture import Picture
+from raygrid.host.render.frame import render_job
+from raygrid.host.render.job import Job, Settings, make_job
+from raygrid.host.scene.load import load_scene
 from raygrid.node.errors import RaygridError, SceneError
 
 SHAPES = ((1, 1, 1), (2, 1, 1), (2, 2, 2), (4, 3, 1))

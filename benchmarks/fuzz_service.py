@@ -25,8 +25,9 @@ import psutil
 from bench_run import RAYGRID, ROOT, run
 
 import raygrid
-from raygrid.host.service_files import SOCKET, TOKEN, find
-from raygrid.host.wire import LENGTH, LONGEST, VERSION, Splitter, pack
+from raygrid.host.client.protocol import LONGEST, VERSION, message_splitter, pack
+from raygrid.host.client.service_files import SOCKET, TOKEN, find
+from raygrid.node.protocol.framing import LENGTH
 
 NAME = "bench-fuzz"
 JOB = {"do": "submit", "scene": "/none.nff", "outputs": ["/none.png"], "settings": {"size": [8, 8]}, "frames": None}
@@ -95,7 +96,7 @@ KINDS: dict[str, Callable[[random.Random], bytes]] = {
 
 def refused(path: str, token: str | None, message: bytes) -> bool:
     """Send one message, after a greeting if there is a token; whether it was answered by an error and nothing else."""
-    splitter = Splitter()
+    splitter = message_splitter()
     with socket.socket(socket.AF_UNIX) as peer:
         peer.settimeout(30.0)
         peer.connect(path)

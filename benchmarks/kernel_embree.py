@@ -24,16 +24,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.host.nff import load_nff
-from raygrid.node.compiled import lean
-from raygrid.node.hierarchy import DEPTH
-from raygrid.node.holdings import build_surfaces
-from raygrid.node.lattice import T_MIN, make_cell, make_space, world_around
-from raygrid.node.packets import LATTICE
-from raygrid.node.surfaces import Batch, Kind, SurfaceSet
-from raygrid.node.tables import COUNTS
-from raygrid.node.traverse import closest
-from raygrid.node.walk import inverse
+from raygrid.host.scene.formats.nff import load_nff
+from raygrid.node.geometry.bvh import DEPTH
+from raygrid.node.geometry.grid_walk import inverse
+from raygrid.node.geometry.lattice import LATTICE, T_MIN, make_cell, make_space, world_around
+from raygrid.node.geometry.surfaces import Batch, Kind, SurfaceSet
+from raygrid.node.jit.decorators import lean
+from raygrid.node.protocol.counters import COUNTS
+from raygrid.node.tracing.local_geometry import build_surfaces
+from raygrid.node.tracing.traverse import closest
 
 F32 = NDArray[np.float32]
 REPEATS = 9

@@ -147,7 +147,8 @@ NAMES = {
         (1, 1, 1),
     ),
     "modern": (
-        "a core of a computer of the 2020s, as raygrid was measured (emulator/work.py): nanoseconds; links of 10 Gbit/s",
+        "a core of a computer of the 2020s, as raygrid was measured (emulator/partition/cost_grid.py): nanoseconds; "
+        "links of 10 Gbit/s",
         1_000_000_000,
         "tree",
         "link",

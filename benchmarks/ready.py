@@ -2,7 +2,7 @@
 
     python benchmarks/ready.py --array 2x2x2 --array 4x4x4 --runs 5
 
-`warm`: seconds from starting the nursery until its kernels are ready (loaded from the cache on disk, or compiled).
+`warm`: seconds from starting the fork server until its kernels are ready (loaded from the cache on disk, or compiled).
 `ready`: seconds from then until all nodes are forked and every link of every node is up. `end`: until all are gone.
 """
 
@@ -12,9 +12,9 @@ import argparse
 import json
 import time
 
-import raygrid.host.interface  # noqa: F401  (what the host imports is not what is measured here)
-from raygrid.emulator.array import Array
-from raygrid.emulator.limits import parse_shape
+import raygrid.host.render.api  # noqa: F401  (what the host imports is not what is measured here)
+from raygrid.emulator.processes.array import Array
+from raygrid.emulator.topology.limits import parse_shape
 
 LONGEST = 300.0  # seconds; a first run compiles
 
@@ -25,8 +25,8 @@ def launched(shape: str) -> dict[str, object]:
         begun = time.perf_counter()
         array.begin()
         # The launch alone, after the warm-up: Array itself has no way of waiting for the one without the other.
-        assert array._nursery is not None
-        array._nursery.wait_warm(LONGEST)
+        assert array._fork_server is not None
+        array._fork_server.wait_warm(LONGEST)
         warm = time.perf_counter()
         array.wait_ready()
         ready = time.perf_counter()

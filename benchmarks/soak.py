@@ -3,7 +3,7 @@
     python benchmarks/soak.py --frames 500 --clients 3
 
 Each client is a process that submits its frames one job at a time, of its own scene and size. After a tenth of the
-frames, and then every few, each process of the array (service, nursery, nodes) is looked at: private memory,
+frames, and then every few, each process of the array (service, fork server, nodes) is looked at: private memory,
 descriptors, threads. They count as flat if descriptors and threads are no more at the end than at the first look, and
 memory of the last quarter of the looks is at most 3 % or 2 MB above that of the second quarter. Each frame's file is
 compared with the first of its client. Prints Markdown; exit code 1 if anything is not flat or not the same.
@@ -76,7 +76,7 @@ def processes_of(array: raygrid.Service) -> dict[int, Held]:
     nodes = {node["pid"]: "node " + ",".join(map(str, node["node"])) for node in array.status()["nodes"]}
     found = {array.pid: Held("service")}
     for process in psutil.Process(array.pid).children(recursive=True):
-        found[process.pid] = Held(nodes.get(process.pid, "nursery"))
+        found[process.pid] = Held(nodes.get(process.pid, "fork server"))
     return found
 
 

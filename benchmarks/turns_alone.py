@@ -22,13 +22,12 @@ from typing import Any
 
 import numpy as np
 
-from raygrid.emulator.memory_array import MemoryArray
-from raygrid.host.job import Job, Settings, make_job
-from raygrid.host.load import load_scene
-from raygrid.node import backlog
-from raygrid.node.rounds import AFTER
-from raygrid.node.tables import SENT, WALKS
-from raygrid.node.walk import PORTS
+from raygrid.emulator.driver.memory_array import MemoryArray
+from raygrid.host.render.job import Job, Settings, make_job
+from raygrid.host.scene.load import load_scene
+from raygrid.node.geometry.grid_walk import PORTS
+from raygrid.node.protocol.counters import SENT, WALKS
+from raygrid.node.tracing import work_queues
 
 Shape = tuple[int, int, int]
 
@@ -79,9 +78,9 @@ class Gathering(MemoryArray):
         for processor in self.processors:
             for port in processor.links:
                 processor.receive(port)
-        held = [processor.tracer.backlog.held for processor in self.processors]
+        held = [processor.node_state.work_queues.held for processor in self.processors]
         for processor, here in zip(self.processors, held, strict=True):
-            if here == 0 or here * GATHER >= max(held) or processor.tracer.quota > 0:
+            if here == 0 or here * GATHER >= max(held) or processor.node_state.quota > 0:
                 processor.work()
         for corner in self.driver.links:
             self.driver.receive(corner)
@@ -97,8 +96,8 @@ class Loaded:
         self.array.driver.ready()
         self.array.driver.load(job.space, job.surfaces)
         for processor in self.array.processors:
-            processor.tracer._go = self.turns.of(processor.tracer._go)
-            processor.tracer.pace[AFTER] = TURN
+            processor.node_state.run_loop = self.turns.of(processor.node_state.run_loop)
+            processor.node_state.tuning.batch_packets = TURN
         self.least, self.least_sorting = np.inf, np.inf
         self.calls = 0
 
@@ -109,15 +108,18 @@ class Loaded:
         self.array.driver.trace(self.job.frame)
         self.calls = self.turns.calls
         spent = [(clock.seconds, clock.calls) for clock in (self.turns, self.sorting)]
-        tracer = self.array.processors[0].tracer
-        idle = idle_call(self.turns, tracer.work), idle_call(self.sorting, lambda: tracer.backlog.sort_in(b"", 0, 0))
+        node_state = self.array.processors[0].node_state
+        idle = (
+            idle_call(self.turns, node_state.work),
+            idle_call(self.sorting, lambda: node_state.work_queues.sort_in(b"", 0, 0)),
+        )
         turns, sorting = (seconds - calls * one for (seconds, calls), one in zip(spent, idle, strict=True))
         self.least_sorting = min(self.least_sorting, sorting)
         self.least = min(self.least, turns + sorting)
 
     def figures(self, alone: Loaded) -> dict[str, Any]:
         """What came out; `alone`: the array to compare with."""
-        counts = sum(processor.tracer.counts for processor in self.array.processors)
+        counts = sum(processor.node_state.counts for processor in self.array.processors)
         assert isinstance(counts, np.ndarray)
         hops = int(counts[SENT : SENT + PORTS].sum())
         return {
@@ -134,7 +136,7 @@ class Loaded:
 def measure(scene: Path, shapes: list[Shape], size: tuple[int, int], runs: int) -> list[dict[str, Any]]:
     """Figures of each array."""
     sorting = Clock()
-    backlog._sort_in = sorting.of(backlog._sort_in)
+    work_queues._sort_in = sorting.of(work_queues._sort_in)
     loaded = load_scene(scene)
     arrays = [Loaded(shape, make_job(loaded, shape, Settings(size=size)), sorting) for shape in shapes]
     for _ in range(runs):

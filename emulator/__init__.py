@@ -1,4 +1,1 @@
-"""The array: topology, split of space, launching and supervising processes, loading, waves, collection.
-
-Imports ``raygrid.node`` only.
-"""
+"""The array: topology, partition of space, launching and supervising processes, driving, simulation, analysis."""

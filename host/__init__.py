@@ -1,4 +1,1 @@
-"""The front end: command line, scenes, cameras, images, statistics.
-
-Imports ``raygrid.emulator`` and ``raygrid.node``.
-"""
+"""The front end: scenes, pictures, renders, machine time, the service, probes and the command line."""

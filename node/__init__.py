@@ -1,5 +1,1 @@
-"""One processor of the array: packets, links, subvolume, surfaces, kernels and the main loop.
-
-Nothing here knows another process than the neighbours behind its own ports; nothing here imports
-``raygrid.emulator`` or ``raygrid.host``.
-"""
+"""One processor of the array: packets, links, its box of space, surfaces, the ray step and the main loop."""

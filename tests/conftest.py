@@ -11,9 +11,9 @@ from collections.abc import Iterator
 
 import pytest
 from hypothesis import settings
-from support_cases import steady
-from support_order import place_of
-from support_processes import MARK, Leftovers, no_leftovers
+from support.cases import steady
+from support.order import place_of
+from support.processes import MARK, Leftovers, no_leftovers
 
 __all__ = ["no_leftovers"]  # for the single tests of files that start processes
 
@@ -67,4 +67,4 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.fixture
 def quick_records(monkeypatch: pytest.MonkeyPatch) -> None:
     """Records of nodes in memory without this process' own memory, which takes the kernel longer than a small picture."""
-    monkeypatch.setattr("raygrid.node.answers.private_memory", lambda: 0)
+    monkeypatch.setattr("raygrid.node.runtime.report.private_memory", lambda: 0)

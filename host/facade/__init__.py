@@ -16,13 +16,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from raygrid.host.client import Result, Service, Submitted, connect
-    from raygrid.host.interface import Machine, Picture, Scene, launch, load_scene
+    from raygrid.host.client.client import Result, Service, Submitted, connect
+    from raygrid.host.render.api import Machine, Picture, Scene, launch, load_scene
     from raygrid.node.errors import ArrayError, OutputError, RaygridError, SceneError
 
+    __version__: str
+
 _HOMES = {
-    "raygrid.host.client": ("Result", "Service", "Submitted", "connect"),
-    "raygrid.host.interface": ("Machine", "Picture", "Scene", "launch", "load_scene"),
+    "raygrid.host.client.client": ("Result", "Service", "Submitted", "connect"),
+    "raygrid.host.render.api": ("Machine", "Picture", "Scene", "launch", "load_scene"),
     "raygrid.node.errors": ("ArrayError", "OutputError", "RaygridError", "SceneError"),
 }
 
@@ -44,7 +46,15 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("raygrid")
     for module, names in _HOMES.items():
         if name in names:
             return getattr(import_module(module), name)
     raise AttributeError(f"module 'raygrid' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*__all__, "__version__", *(name for name in globals() if name.startswith("__"))})

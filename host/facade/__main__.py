@@ -1,5 +1,5 @@
 """`python -m raygrid`: the command line."""
 
-from raygrid.host.entry import main
+from raygrid.host.cli.entry import main
 
 main()

@@ -1,0 +1,8 @@
+"""Explains what an array does: the ray tree of a sample, one packet at a time, and the deadlock of finite buffers.
+
+What it gives to other layers is listed in `__init__.pyi`; each name is loaded when it is first used.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

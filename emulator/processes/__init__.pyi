@@ -1,0 +1,14 @@
+from .array import BATCH as BATCH
+from .array import Array as Array
+from .compile_clock import now as now
+from .fork_server import end_with_parent as end_with_parent
+from .fork_server_client import ONE_THREAD as ONE_THREAD
+from .kernel_kinds import ANALYSIS as ANALYSIS
+from .kernel_kinds import KINDS as KINDS
+from .kernel_kinds import NOTE as NOTE
+from .kernel_kinds import SIMULATOR as SIMULATOR
+from .kernel_kinds import kind_of as kind_of
+from .node_processes import RESET_SECONDS as RESET_SECONDS
+from .node_processes import RESET_SECONDS_A_NODE as RESET_SECONDS_A_NODE
+from .process_ended import SIGNALS as SIGNALS
+from .warm import told_of as told_of

@@ -1,0 +1,11 @@
+from .event_loop import LINKS as LINKS
+from .event_loop import SERVICES as SERVICES
+from .event_loop import WAITS as WAITS
+from .flood_time import Flooded as Flooded
+from .flood_time import flood as flood
+from .shared_tables import ordered as ordered
+from .simulator import Model as Model
+from .simulator import Phase as Phase
+from .simulator import make_model as make_model
+from .simulator import read_out as read_out
+from .simulator import trace as trace

@@ -1,0 +1,1 @@
+"""Is the command line: the commands and what they print."""

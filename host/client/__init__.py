@@ -1,0 +1,1 @@
+"""Speaks with an array that stays: the protocol, its requests, the connection, and the client itself."""

@@ -1,0 +1,1 @@
+"""Writes scenes for other renderers."""

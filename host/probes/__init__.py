@@ -1,0 +1,1 @@
+"""Uses the samples of probes: recorded, summed up, for Perfetto and Prometheus."""

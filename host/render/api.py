@@ -1,0 +1,194 @@
+"""The Python interface: launch an array, render scenes on it."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Unpack
+
+from raygrid.emulator.driver import BUDGET, PATIENCE, NodeSample
+from raygrid.emulator.processes import BATCH, Array
+from raygrid.emulator.topology import parse_shape
+from raygrid.host.image.picture import Picture
+from raygrid.host.render.animation_jobs import jobs_of
+from raygrid.host.render.frame import Watch
+from raygrid.host.render.given_settings import GivenSettings
+from raygrid.host.render.job import Settings, make_job
+from raygrid.host.render.program_file import read_program
+from raygrid.host.render.retry import ATTEMPTS
+from raygrid.host.render.session import RenderSession
+from raygrid.host.scene.load import load_scene
+from raygrid.host.scene.scene import Scene
+from raygrid.node.errors import ArrayError
+from raygrid.node.links import parse_fault
+from raygrid.node.programs import Program
+
+if TYPE_CHECKING:
+    from raygrid.host.scene.load import SceneLike
+
+MOST_BATCH = 8192  # packets; their message stays far below the longest that a link takes
+
+__all__ = ["Machine", "Picture", "Scene", "launch", "load_scene"]
+
+
+class Machine:
+    """A launched array. Use as a context manager; when it closes, no process, socket or file is left.
+
+    One thread at a time may use it; another one is refused by an ArrayError meanwhile. But any may close it.
+    """
+
+    def __init__(self, array: Array, allow_outside: bool = False) -> None:
+        self._array, self._allow_outside = array, allow_outside
+        self._in_use = threading.RLock()  # what is told of the work may use the array, in the same thread
+
+    @contextlib.contextmanager
+    def _use(self) -> Iterator[Array]:
+        """The array, for this thread alone. Raises ArrayError while another thread has it."""
+        if not self._in_use.acquire(blocking=False):
+            raise ArrayError(
+                "the array is in use by another thread, wanted one at a time: launch an array for each, "
+                "or one that stays (raygrid up), to which many may raygrid.connect"
+            )
+        try:
+            yield self._array
+        finally:
+            self._in_use.release()
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Processors on each axis."""
+        return self._array.shape
+
+    @property
+    def pids(self) -> tuple[int, ...]:
+        """Process ids of the nodes, x fastest. Nodes that were lost are replaced by new ones."""
+        return tuple(self._array.pids)
+
+    def render(
+        self,
+        scene: SceneLike,
+        *,
+        budget: int = BUDGET,
+        watch: Watch | None = None,
+        attempts: int = ATTEMPTS,
+        program: str | Path | Program | None = None,
+        **settings: Unpack[GivenSettings],
+    ) -> Picture:
+        """Render a scene: a Scene, the path of a file of one, a trimesh.Trimesh or a trimesh.Scene (docs/scenes.md).
+
+        settings  size, samples, depth, min_weight, highlights, split; see `raygrid.host.render.machine_job.Settings`
+        budget    packets in flight below which new primary rays are admitted
+        watch     called with (phase, progress) as the work goes on
+        attempts  how often to try in all: when a node is lost or a link breaks, the array is reset and the frame
+                  begins anew; what happened is in the picture's stats["faults"]
+        program   path of a program for the nodes (docs/programs.md), on a machine launched with allow_programs
+        Raises SceneError for a scene or settings that cannot be rendered, ArrayError if the array fails.
+        """
+        with self._use() as array:
+            job = make_job(load_scene(scene, self._allow_outside), self.shape, self._settings(settings, program))
+            return RenderSession(array, attempts).render(job, budget, watch)
+
+    def render_frames(
+        self,
+        scene: SceneLike,
+        frames: Iterable[int] | None = None,
+        *,
+        budget: int = BUDGET,
+        watch: Watch | None = None,
+        attempts: int = ATTEMPTS,
+        program: str | Path | Program | None = None,
+        **settings: Unpack[GivenSettings],
+    ) -> Iterator[Picture]:
+        """Render frames of a shot one after the other, from one to the next by increments; each has the bits that it
+        has alone.
+
+        frames  their numbers, from 1; None: all of the shot
+        The rest, and what is raised, as for `render`. `raygrid.host.scene.animation.turntable` makes a shot of a still scene.
+        """
+        read = load_scene(scene, self._allow_outside)
+        for job in jobs_of(read, self.shape, self._settings(settings, program), frames):
+            with self._use() as array:  # not while the caller has the picture
+                picture = RenderSession(array, attempts).render(job, budget, watch)
+            yield picture
+
+    def _settings(self, given: GivenSettings, program: str | Path | Program | None) -> Settings:
+        if program is not None and not self._array.programs:
+            raise ArrayError("a program is code that runs with your rights, wanted launch(..., allow_programs=True)")
+        return Settings(**given, program=read_program(program) if isinstance(program, str | Path) else program)
+
+    def probe(self, rate: float, watch: Callable[[NodeSample], object] | None) -> None:
+        """Let every node tell `rate` times a second how it stands, while the array renders; 0: no more (docs/probes.md).
+
+        watch  called with each `raygrid.emulator.driver.samples.NodeSample`
+        Raises ProtocolError for a rate that cannot be.
+        """
+        with self._use() as array:
+            array.probe(rate, watch)
+
+    def reset(self) -> None:
+        """The reset line: drop whatever the array holds or does; afterwards it is empty and ready (`Array.reset`)."""
+        with self._use() as array:
+            array.reset()
+
+    def close(self) -> None:
+        """End the array. May be called twice, and by any thread: what another one renders is given up, by an ArrayError."""
+        with self._taken():
+            self._array.close()
+
+    @contextlib.contextmanager
+    def _taken(self) -> Iterator[None]:
+        """The array for this thread, as soon as another one has given up what it does with it."""
+        if not self._in_use.acquire(blocking=False):
+            self._array.on_wait = _give_up
+            self._in_use.acquire()
+        try:
+            self._array.on_wait = None
+            yield
+        finally:
+            self._in_use.release()
+
+    def __enter__(self) -> Machine:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with self._taken():
+            self._array.__exit__(kind, error, trace)
+
+
+def _give_up() -> None:
+    raise ArrayError("the array was closed by another thread while it was in use")
+
+
+def launch(
+    shape: str | tuple[int, int, int] = "2x2x2",
+    *,
+    batch: int = BATCH,
+    patience: float = PATIENCE,
+    allow_programs: bool = False,
+    allow_outside: bool = False,
+    fault: str | None = None,
+) -> Machine:
+    """Launch an array of node processes on this computer, and wait until it is ready.
+
+    shape     processors on each axis, "2x2x2" or (2, 2, 2)
+    batch     most packets a message
+    patience  seconds without any progress after which the array is taken to hang
+    allow_programs  whether nodes take programs: code that runs with your rights
+    allow_outside   whether files of scenes may refer to files outside their folders, which are read with your rights
+    fault     for experiments: what links between neighbours do to messages, "KIND[:RATE[:SEED]]" (`node.links.faulty_channel`)
+    Raises ValueError for what none of these can be, TooLarge for an array that does not fit this computer.
+    """
+    if not 1 <= batch <= MOST_BATCH:
+        raise ValueError(f"a batch came as {batch}, wanted 1 to {MOST_BATCH} packets")
+    if not 0.0 < patience < math.inf:
+        raise ValueError(f"a patience came as {patience}, wanted seconds above 0")
+    cells = parse_shape(shape if isinstance(shape, str) else "x".join(map(str, shape)))
+    plan = None if fault is None else parse_fault(fault)
+    array = Array.launch(cells, batch=batch, patience=patience, fault=plan, programs=allow_programs)
+    return Machine(array, allow_outside)

@@ -1,0 +1,1 @@
+"""Changes scenes from frame to frame: keyframes, animated scenes, turntables."""

@@ -1,0 +1,168 @@
+"""Converts cameras from the ways in which files describe them to the linear form that the nodes use.
+
+Every camera is an eye, three perpendicular unit vectors and half the height of its view. With square pixels the
+picture's width and height then give one number, the pitch from pixel to pixel, and pixel (i, j) looks along
+
+    forward + pitch * (i - (w - 1) / 2) * right + pitch * ((h - 1) / 2 - j) * up        (perspective)
+
+An orthographic camera moves its eye by the same offsets and looks along `forward`. What differs between files is only
+which length the half height spans (`Span`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from raygrid.node.errors import SceneError
+from raygrid.node.protocol import CAMERA_RECORD
+
+Vector = tuple[float, float, float]
+
+DEFAULT_FOV = 40.0  # degrees, vertical: a moderate lens for cameras that no file describes
+# degrees: of a wider view the axis is so short beside its width that rounding takes it away
+WIDEST = 179.99
+FRAME_MARGIN = 1.08  # the box of a scene fills the picture but for this much
+
+
+class Span(Enum):
+    """Names the length across which the height (or angle) of a view is measured."""
+
+    MIDDLES = "middles"  # the middle of the first pixel row to the middle of the last (NFF)
+    EDGES = "edges"  # the upper edge of the picture to the lower (glTF, and most others)
+    NARROW = "narrow"  # edge to edge of the shorter side, so that a tall picture shows as much as a wide one
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera in scene coordinates.
+
+    eye                 where rays start (orthographic: the middle of the window where they start)
+    forward, right, up  perpendicular unit vectors; right and up are those of the picture
+    half                perspective: tangent of half the angle; orthographic: half the height, scene units
+    span                what `half` is measured across
+    orthographic        parallel rays
+    """
+
+    eye: Vector
+    forward: Vector
+    right: Vector
+    up: Vector
+    half: float
+    span: Span = Span.EDGES
+    orthographic: bool = False
+
+    def pitch(self, width: int, height: int) -> float:
+        """The distance from pixel to pixel, on the plane one unit ahead (orthographic: in the scene)."""
+        if self.span is Span.EDGES:
+            return 2.0 * self.half / height
+        if self.span is Span.NARROW:
+            return 2.0 * self.half / min(width, height)
+        # One row has no first and last: measure along the row instead; one pixel takes the whole angle.
+        rows = height if height > 1 else width
+        return 2.0 * self.half / max(rows - 1, 1)
+
+    def table(self, width: int, height: int) -> NDArray[np.void]:
+        """The camera for a picture of width x height pixels, CAMERA_RECORD (1,). Pixels are square.
+
+        Raises SceneError if the picture has no pixels.
+        """
+        if width < 1 or height < 1:
+            raise SceneError(f"the picture is {width} x {height} pixels, wanted at least 1 x 1")
+        eye, forward, right, up = (np.array(v) for v in (self.eye, self.forward, self.right, self.up))
+        pitch = self.pitch(width, height)
+        corner = pitch * ((height - 1) / 2.0 * up - (width - 1) / 2.0 * right)
+        table = np.zeros(1, CAMERA_RECORD)
+        origin, ray = ("base", "eye") if self.orthographic else ("eye", "base")
+        table[origin] = forward if self.orthographic else eye
+        table[ray] = (eye if self.orthographic else forward) + corner
+        table[ray + "_di"] = pitch * right
+        table[ray + "_dj"] = -pitch * up
+        return table
+
+
+def nff_camera(eye: ArrayLike, at: ArrayLike, up: ArrayLike, angle: float) -> Camera:
+    """The camera of an NFF file: `angle` in degrees spans from the first pixel row's middle to the last one's."""
+    return Camera(*_frame(eye, at, up), _half_angle(angle), Span.MIDDLES)
+
+
+def perspective_camera(eye: ArrayLike, at: ArrayLike, up: ArrayLike, fov: float) -> Camera:
+    """A camera at `eye` looking to `at`; `fov` is the vertical angle in degrees from edge to edge.
+
+    `up` need not be perpendicular to the view. Raises SceneError if eye and at coincide, if up is parallel to the
+    view, if the angle is not between 0 and 180, or if a number is not finite.
+    """
+    return Camera(*_frame(eye, at, up), _half_angle(fov), Span.EDGES)
+
+
+def orthographic_camera(eye: ArrayLike, at: ArrayLike, up: ArrayLike, height: float) -> Camera:
+    """A camera with parallel rays; `height` of the view from edge to edge, scene units. Raises as perspective does."""
+    if not (math.isfinite(height) and height > 0.0):
+        raise SceneError(f"the camera's view is {height:g} high, wanted a finite height above 0")
+    return Camera(*_frame(eye, at, up), height / 2.0, Span.EDGES, orthographic=True)
+
+
+def look_at_everything(bounds: ArrayLike, up: Vector = (0.0, 1.0, 0.0)) -> Camera:
+    """A three-quarter view from the front, the right and above that frames the whole box, (2, 3).
+
+    `up` is the axis that points up, (0, 1, 0) or (0, 0, 1). The front is +z in the first case and -y in the second,
+    as modelling programs have it. Both sides of the picture see the whole box, whatever its aspect.
+    """
+    low, high = np.asarray(bounds, np.float64)
+    upward = np.array(up)
+    front = np.array((0.0, -1.0, 0.0)) if abs(upward[2]) > 0.5 else np.array((0.0, 0.0, 1.0))
+    towards = front + 0.65 * np.cross(upward, front) + 0.45 * upward
+    centre = (low + high) / 2.0
+    forward, right, lift = (np.array(v) for v in _frame(centre + towards, centre, upward)[1:])
+    half = math.tan(math.radians(DEFAULT_FOV) / 2.0)
+    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    offsets = corners - centre
+    reach = np.maximum(np.abs(offsets @ right), np.abs(offsets @ lift)) * FRAME_MARGIN
+    distance = float(np.max(reach / half - offsets @ forward))
+    # A scene of one point has no size to frame: stay so far away that the eye is another point, rounded too.
+    eye = centre - forward * (max(distance, 1e-6 * float(np.abs(centre).max())) or 1.0)
+    return Camera(_triple(eye), _triple(forward), _triple(right), _triple(lift), half, Span.NARROW)
+
+
+def _half_angle(angle: float) -> float:
+    if not (math.isfinite(angle) and 0.0 < angle < 180.0):
+        raise SceneError(f"the camera's angle is {angle:g} degrees, wanted more than 0 and less than 180")
+    if angle > WIDEST:
+        raise SceneError(
+            f"the camera's angle is {angle!r} degrees, wanted at most {WIDEST:g}: wider loses its own axis"
+        )
+    return math.tan(math.radians(angle) / 2.0)
+
+
+def _frame(eye: ArrayLike, at: ArrayLike, up: ArrayLike) -> tuple[Vector, Vector, Vector, Vector]:
+    """Eye, forward, right, up; raises SceneError if they do not span a view."""
+    start, aim, above = (np.asarray(v, np.float64) for v in (eye, at, up))
+    if not np.isfinite(np.concatenate((start, aim, above))).all():
+        raise SceneError("the camera has a number that is not finite in its eye, its aim or its up")
+    view = aim - start
+    length = float(np.linalg.norm(view))
+    if not length > 1e-12 * float(np.abs(start).max()):
+        raise SceneError(f"the camera looks from {_shown(start)} at that same point, wanted two different points")
+    forward = view / length
+    largest = float(np.abs(above).max())
+    if largest > 0.0 and not 1e-100 < largest < 1e100:  # its square may be no number
+        above = np.ldexp(above, -math.frexp(largest)[1])
+    tall = float(np.linalg.norm(above))
+    sideways = np.cross(forward, above / tall) if tall > 0.0 else np.zeros(3)
+    width = float(np.linalg.norm(sideways))
+    if not width > 1e-9:
+        raise SceneError(f"the camera's up {_shown(above)} is parallel to its view, wanted another direction")
+    right = sideways / width
+    return _triple(start), _triple(forward), _triple(right), _triple(np.cross(right, forward))
+
+
+def _triple(vector: NDArray[np.float64]) -> Vector:
+    return float(vector[0]), float(vector[1]), float(vector[2])
+
+
+def _shown(vector: NDArray[np.float64]) -> str:
+    return "({:g}, {:g}, {:g})".format(*vector.tolist())

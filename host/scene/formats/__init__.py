@@ -1,0 +1,1 @@
+"""Reads scenes from files: NFF, OBJ, PLY, STL, glTF, and the project's own TOML."""

@@ -1,0 +1,150 @@
+"""Reads a scene with the reader of its file's suffix, or takes one that a program has in memory."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from raygrid.host.text.clean_text import printable
+from raygrid.host.text.misuse import ArrayMisuse, SceneMisuse
+from raygrid.node.errors import ArrayError, SceneError
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from raygrid.host.scene.scene import Scene
+
+    SceneLike = str | os.PathLike[str] | Scene | trimesh.Trimesh | trimesh.Scene
+
+# Suffix: module and function. Imported when needed: the readers of some formats bring in large libraries.
+READERS = {
+    ".nff": ("nff", "load_nff"),
+    ".obj": ("meshes", "load_obj"),
+    ".ply": ("meshes", "load_ply"),
+    ".stl": ("meshes", "load_stl"),
+    ".glb": ("gltf", "load_gltf"),
+    ".gltf": ("gltf", "load_gltf"),
+    ".toml": ("toml", "load_scenefile"),
+}
+
+
+MOST_REMARKS = 100
+REMEDY = "--allow-outside (in Python allow_outside=True)"
+
+
+def check_name(path: str | Path) -> None:
+    """Raise SceneMisuse for what cannot be the name of a scene, whatever is there; SceneError for a directory."""
+    if not str(path) or "\0" in str(path):
+        raise SceneMisuse(f"a scene came as {str(path)!r}, wanted the name of a file")
+    if os.path.isdir(path):
+        raise SceneError(
+            f"{printable(str(path))}: the scene is a directory, wanted a file of one of: {' '.join(READERS)}"
+        )
+    suffix = Path(path).suffix
+    if suffix.lower() not in READERS:
+        came = f"the suffix {suffix!r}" if suffix else "no suffix"
+        raise SceneMisuse(f"{printable(str(path))}: the file has {came}, wanted one of: {' '.join(READERS)}")
+
+
+class WantsProgram(SceneError):
+    """A scene has surfaces of a program, and no program came that knows them."""
+
+
+def check_allowed(path: str | None, allowed: bool) -> None:
+    """Raise ArrayMisuse for a program of a command that launches an array, if it was not allowed there."""
+    if path is None:
+        return
+    check_program_name(path)
+    if not allowed:
+        raise ArrayMisuse(
+            f"{path}: a program is code that runs with your rights, wanted --allow-programs to launch an array that takes it"
+        )
+
+
+_allowed: ContextVar[bool] = ContextVar("allowed", default=False)
+
+
+@contextmanager
+def outside_allowed() -> Iterator[None]:
+    """Let all scenes that this thread reads in this block refer to files outside their folders."""
+    before = _allowed.set(True)
+    try:
+        yield
+    finally:
+        _allowed.reset(before)
+
+
+def check_program_name(path: str | Path) -> None:
+    """Raise SceneMisuse for what cannot be the name of a program."""
+    suffix = Path(path).suffix
+    if suffix.lower() != ".py":
+        raise SceneMisuse(f"{path}: the program has the suffix {suffix!r}, wanted .py")
+
+
+def check_taken(path: str | None, taken: bool) -> None:
+    """Raise ArrayError for a program of a job, if the array that stays takes none."""
+    if path is not None and not taken:
+        raise ArrayError(
+            f"{path}: a program is code that runs with your rights, wanted an array of raygrid up --allow-programs"
+        )
+
+
+def load_scene(scene: SceneLike, allow_outside: bool = False, remedy: str = REMEDY) -> Scene:
+    """Read a scene, of any format known, or a trimesh.Trimesh or trimesh.Scene; a Scene is given back as it is.
+
+    allow_outside  whether it may refer to files outside its folder; of a scene within another the other's was asked
+    remedy         what the error says that allows it
+    Raises SceneError for an unknown suffix, a missing or unreadable file, and whatever its reader refuses. What the file
+    says comes back fit to be shown, in errors and remarks.
+    """
+    if not isinstance(scene, str | os.PathLike):
+        return _taken(scene)
+    from raygrid.host.scene.file_access import reading
+
+    path = Path(scene)
+    check_name(scene if isinstance(scene, str) else path)
+    module, function = READERS[path.suffix.lower()]
+    with reading(path, allow_outside or _allowed.get(), remedy) as whole:
+        try:
+            read: Scene = getattr(import_module(f"raygrid.host.scene.formats.{module}"), function)(path)
+        except SceneError as error:
+            error.args = (printable(str(error)),)
+            raise
+    return _shown(read) if whole else read
+
+
+def _taken(given: Scene | trimesh.Trimesh | trimesh.Scene) -> Scene:
+    """The scene of an object in memory. Raises SceneMisuse for one that is none."""
+    from raygrid.host.scene.scene import Scene
+
+    if isinstance(given, Scene):
+        return given
+    known = sys.modules.get("trimesh")  # who has such an object has imported it
+    if not isinstance(given, tuple(getattr(known, name) for name in ("Trimesh", "Scene") if hasattr(known, name))):
+        kind = type(given)
+        name = kind.__name__ if kind.__module__ == "builtins" else f"{kind.__module__}.{kind.__name__}"
+        came = "None" if given is None else f"an object of {printable(name)}"
+        wanted = "the path of a file, a raygrid.Scene, a trimesh.Trimesh or a trimesh.Scene"
+        raise SceneMisuse(f"a scene came as {came}, wanted {wanted}")
+    from raygrid.host.scene.formats.trimesh_scene import scene_of_trimesh
+
+    try:
+        return _shown(scene_of_trimesh(given))
+    except SceneError as error:
+        error.args = (printable(str(error)),)
+        raise
+
+
+def _shown(scene: Scene) -> Scene:
+    """The scene with its name and its remarks fit to be shown, each remark once, and not too many."""
+    remarks = list(dict.fromkeys(map(printable, scene.remarks)))
+    if len(remarks) > MOST_REMARKS:
+        remarks[MOST_REMARKS:] = [f"and {len(remarks) - MOST_REMARKS} remarks more"]
+    return replace(scene, name=printable(scene.name), remarks=tuple(remarks))

@@ -1,0 +1,8 @@
+"""Compiles kernels: decorators, the cache on disk, vectors of eight. The only package that knows numba's and llvmlite's insides.
+
+What it gives to other layers is listed in `__init__.pyi`; each name is loaded when it is first used.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,12 @@
+from .control_channel import ControlChannel as ControlChannel
+from .faulty_channel import FaultPlan as FaultPlan
+from .faulty_channel import parse_fault as parse_fault
+from .link import MESSAGE_OVERHEAD as MESSAGE_OVERHEAD
+from .link import Channel as Channel
+from .link import Link as Link
+from .link import LinkPhase as LinkPhase
+from .memory_channel import MemoryChannel as MemoryChannel
+from .memory_channel import memory_channels as memory_channels
+from .zmq_c_api import find_functions as find_functions
+from .zmq_c_api import why_python as why_python
+from .zmq_channel import ZmqChannel as ZmqChannel

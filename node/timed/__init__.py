@@ -1,0 +1,8 @@
+"""Keeps machine time in a node: the service clock, conservative look-ahead, and the processor that uses both.
+
+What it gives to other layers is listed in `__init__.pyi`; each name is loaded when it is first used.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

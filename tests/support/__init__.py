@@ -1,0 +1,1 @@
+"""What several tests share: small scenes, arrays in memory, links, processes, terminals."""

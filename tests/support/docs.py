@@ -1,0 +1,92 @@
+"""The `raygrid` lines of README.md and docs/*.md, and of the help: what they say is what can be typed."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from typing import NamedTuple
+
+from raygrid.host.cli.main import cli
+from support import paths
+
+ROOT = paths.ROOT
+RUN = "<!-- run -->"  # before a block of code: its lines are run, small
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+COMMENT = re.compile(r"\s+#\s.*$|\s{3,}\S.*$")  # what a line says of itself, behind it
+
+
+class Line(NamedTuple):
+    """A `raygrid` line, as words without `raygrid`."""
+
+    where: str
+    words: list[str]
+    runs: bool
+    block: int = 0
+
+
+def lines_of(text: str, name: str) -> list[Line]:
+    """The lines in fenced and indented blocks of a page."""
+    found, fenced, runs, before, block = [], False, False, "", 0
+    for number, line in enumerate(re.sub(r" \\\n\s*", " ", text).splitlines(), 1):
+        if line.startswith("```"):
+            fenced = not fenced
+            block += fenced
+            runs = fenced and before == RUN
+        elif fenced or line.startswith("    "):
+            if not fenced and not before.startswith("    "):  # the first line of an indented block
+                runs = before == RUN
+                block += 1
+            commands = re.split(r"\s&&\s|\s\|\s", COMMENT.sub("", line.strip()))
+            typed = [shlex.split(command)[1:] for command in commands if command.startswith("raygrid ")]
+            found += [Line(f"{name}:{number}", words, runs, block) for words in typed]
+        if line.strip():
+            before = line if line.startswith("    ") and not fenced else line.strip()
+    return found
+
+
+def documented() -> list[Line]:
+    """All lines of README and docs."""
+    return [line for page in PAGES for line in lines_of(page.read_text(), page.name)]
+
+
+def sittings(lines: list[Line]) -> list[list[Line]]:
+    """Marked lines by block, and what is between an `up` and its `down` in one: what a reader does in one go."""
+    found: list[list[Line]] = []
+    for line in lines:
+        last = [before.words[0] for before in found[-1]] if found else []
+        together = found and (found[-1][-1].block == line.block or last.count("up") > last.count("down"))
+        if together:
+            found[-1].append(line)
+        else:
+            found.append([line])
+    return found
+
+
+def of_help() -> list[Line]:
+    """All examples of --help."""
+    texts = {"raygrid": cli.epilog or ""} | {name: command.epilog or "" for name, command in cli.commands.items()}
+    return [
+        Line(f"{name} --help", shlex.split(found)[1:], False)
+        for name, text in texts.items()
+        for found in re.findall(r"^ +(raygrid .+)$", re.sub(r" \\\n\s*", " ", text), re.M)
+    ]
+
+
+def small(words: list[str]) -> list[str]:
+    """The same command with few pixels, frames and processors."""
+    command, words = words[0], list(words)
+    drawing = command in ("render", "submit", "simulate", "trace", "jam")
+    least = {"--array": "2x1x1", "--samples": "1", "--square": "1,2,3", "--cubic": "1,2,3", "--turntable": "2"}
+    least |= {"--turntable-scene": "2", "--size": "16x16"}
+    for k, word in enumerate(words[:-1]):
+        if word in least and not (word == "--size" and command == "law"):
+            words[k + 1] = least[word]
+        if word == "--frames" and "-" in words[k + 1]:
+            words[k + 1] = f"{words[k + 1].split('-')[0]}-{int(words[k + 1].split('-')[0]) + 1}"
+        if word == "--prometheus":
+            words[k + 1] = "0"
+    if drawing and "--size" not in words and command != "trace":
+        words += ["--size", "16x16"]
+    if command == "probe" and "--for" not in words and "--replay" not in words:
+        words += ["--for", "0.5"]
+    return words

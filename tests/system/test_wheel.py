@@ -1,0 +1,129 @@
+"""Installed from a wheel into an empty environment: all of it is there, nothing else is, and everything works. `make wheel-check`"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+from support.modules import read_modules
+from support.paths import ROOT, SCENES
+
+LAYERS = ("node", "emulator", "host")
+SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text())
+LONG = 800  # seconds for a first run, which compiles
+# On a slow computer compiling takes longer than a command waits for it.
+WARM = f"""
+from raygrid.emulator.processes.fork_server_client import ForkServerClient
+with ForkServerClient.start() as fork_server:
+    fork_server.wait_warm({LONG})
+"""
+
+
+def test_all_packages_are_listed():
+    found = {f"raygrid.{name}" for name, module in read_modules(ROOT).items() if module.is_package}
+    found = found - {"raygrid.host.facade"} | {"raygrid"}
+    assert set(SETTINGS["tool"]["setuptools"]["packages"]) == found
+
+
+def installed_as(path: Path) -> str:
+    """Where a source file lies in the wheel."""
+    name = path.relative_to(ROOT).as_posix()
+    return "raygrid/" + name.removeprefix("host/facade/")
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """The wheel, built from a copy of the sources, since building writes beside them."""
+    copied = tmp_path_factory.mktemp("sources")
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, copied)
+    for layer in LAYERS:
+        shutil.copytree(ROOT / layer, copied / layer, ignore=shutil.ignore_patterns("__pycache__"))
+    made = tmp_path_factory.mktemp("wheel")
+    call(sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", str(made), str(copied))
+    (path,) = made.glob("raygrid-*.whl")
+    return path
+
+
+@pytest.fixture(scope="module")
+def installed(wheel, tmp_path_factory):
+    """The bin directory of an environment into which the wheel was installed, and nothing else of ours."""
+    home = tmp_path_factory.mktemp("environment")
+    call(sys.executable, "-m", "venv", str(home))
+    call(str(home / "bin" / "python"), "-m", "pip", "install", "--quiet", str(wheel))
+    return home / "bin"
+
+
+@pytest.fixture(scope="module")
+def surroundings(tmp_path_factory):
+    """A user who has never run raygrid: nothing compiled, no state, no path to the sources."""
+    home = tmp_path_factory.mktemp("user")
+    mine = {"HOME": str(home), "RAYGRID_CACHE": str(home / "kernels"), "XDG_STATE_HOME": str(home / "state")}
+    return {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "VIRTUAL_ENV")} | mine
+
+
+def call(*words: str, **options: object) -> str:
+    done = subprocess.run(words, capture_output=True, text=True, timeout=LONG + 60, **options)  # type: ignore[call-overload]
+    assert done.returncode == 0, f"{' '.join(words)}\n{done.stdout}\n{done.stderr}"
+    return str(done.stdout)
+
+
+@pytest.mark.slow
+def test_the_wheel_has_what_the_sources_have_and_nothing_else(wheel):
+    suffixes = {".py", ".pyi", ".toml", ".typed"}
+    wanted = {
+        installed_as(path)
+        for layer in LAYERS
+        for path in (ROOT / layer).rglob("*")
+        if path.suffix in suffixes or path.name == "py.typed"
+    }
+    with zipfile.ZipFile(wheel) as packed:
+        names = set(packed.namelist())
+    ours = {name for name in names if ".dist-info/" not in name}
+    unmarked = {"raygrid/node/py.typed", "raygrid/emulator/py.typed"}  # that of raygrid holds for all below it
+    assert wanted - ours <= unmarked
+    assert ours <= wanted
+    assert {"raygrid/py.typed", "raygrid/emulator/costs/8086.toml", "raygrid/node/tracing/__init__.pyi"} <= ours
+    assert {name.partition("/")[0].partition("-")[0] for name in names} == {"raygrid"}
+
+
+@pytest.mark.slow
+def test_nothing_but_raygrid_lies_at_the_top(installed, surroundings, tmp_path):
+    look = "from importlib.metadata import files; print(*sorted({str(file).partition('/')[0] for file in files('raygrid')}))"
+    top = call(str(installed / "python"), "-c", look, env=surroundings, cwd=tmp_path).split()
+    version = SETTINGS["project"]["version"]
+    assert top == ["..", "raygrid", f"raygrid-{version}.dist-info"]  # .. is bin/raygrid
+    where = Path(
+        call(str(installed / "python"), "-c", "import raygrid; print(raygrid.__file__)", env=surroundings).strip()
+    )
+    assert where.is_relative_to(installed.parent)
+    assert not {"node", "emulator", "host", "tests"} & {path.name for path in where.parents[1].iterdir()}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(4 * LONG)
+@pytest.mark.usefixtures("no_leftovers")
+def test_everything_works_from_there(installed, surroundings, tmp_path):
+    scene = tmp_path / "tiny.nff"
+    shutil.copy(SCENES / "tiny.nff", scene)
+
+    def raygrid(*words: str) -> str:
+        return call(str(installed / "raygrid"), *words, env=surroundings, cwd=tmp_path)
+
+    small = ["--size", "24x16", "--samples", "1"]
+    call(str(installed / "python"), "-c", WARM, env=surroundings, cwd=tmp_path)
+    raygrid("render", "tiny.nff", "--array", "2x1x1", *small, "-o", "render.png", "-q")
+    told = raygrid("simulate", "tiny.nff", "--array", "2x1x1", "--cost", "8086", *small)
+    assert "ticks" in told or "seconds" in told
+    raygrid("up", "--array", "2x1x1", "--name", "wheel")
+    try:
+        raygrid("submit", "tiny.nff", "--name", "wheel", *small, "-o", "submit.png")
+    finally:
+        raygrid("down", "--name", "wheel")
+    assert (tmp_path / "render.png").read_bytes() == (tmp_path / "submit.png").read_bytes()
