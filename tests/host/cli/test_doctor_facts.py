@@ -258,10 +258,11 @@ def test_without_limits_nothing_is_lacking(monkeypatch):
     assert list(limits) == ["descriptors", "all_files", "tasks", "memory"]
 
 
-def test_directories_that_cannot_hold_sockets_are_told_with_why(monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "none"))
+def test_directories_that_cannot_hold_sockets_are_told_with_why(monkeypatch):
+    none = "/tmp/raygrid-tests/none"  # short: a path may be too long as well
+    monkeypatch.setenv("XDG_RUNTIME_DIR", none)
     found = doctor_facts.read_places()
-    assert found["sockets"][str(tmp_path / "none")] == "No such file or directory"
+    assert found["sockets"][none] == "No such file or directory"
     assert found["temporary"] == tempfile.gettempdir()
 
 
