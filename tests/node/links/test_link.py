@@ -38,11 +38,11 @@ BYE, BYE_ACK = MessageKind.BYE, MessageKind.BYE_ACK
 
 
 def test_both_ends_are_up_after_hello_and_ack(wire):
-    reporter = Talk(wire)
-    assert [link.state for link in reporter.links] == [LinkPhase.NEW, LinkPhase.NEW]
-    reporter.up()
-    assert reporter.heard == ([], [])
-    assert not any(link.waiting or link.choked or link.peer_left for link in reporter.links)
+    talk = Talk(wire)
+    assert [link.state for link in talk.links] == [LinkPhase.NEW, LinkPhase.NEW]
+    talk.up()
+    assert talk.heard == ([], [])
+    assert not any(link.waiting or link.choked or link.peer_left for link in talk.links)
 
 
 def test_hello_says_who_and_ack_follows(wire):
@@ -120,45 +120,45 @@ def test_what_may_not_come_in_a_state_is_refused(wire, script, said):
 
 def test_an_order_may_come_before_the_link_is_up_but_not_data(wire):
     watched = Watched(wire.ends[0])
-    reporter = Talk(wire, left=watched)
-    reporter.links[0].send_data(PACKETS, 1, bytes(SIZE))
-    reporter.links[0].send_order(DOWN, {"do": "ready"})
+    talk = Talk(wire, left=watched)
+    talk.links[0].send_data(PACKETS, 1, bytes(SIZE))
+    talk.links[0].send_order(DOWN, {"do": "ready"})
     assert watched.data == 0
-    reporter.until(lambda: len(reporter.heard[1]) == 2, "both messages")
-    assert [arrival.kind for arrival in reporter.heard[1]] == [DOWN, PACKETS]
+    talk.until(lambda: len(talk.heard[1]) == 2, "both messages")
+    assert [arrival.kind for arrival in talk.heard[1]] == [DOWN, PACKETS]
 
 
 # --- order and numbers ---------------------------------------------------------------------------
 
 
 def test_messages_come_whole_and_in_order_both_ways(wire):
-    reporter, rng = Talk(wire).up(), random.Random(1)
+    talk, rng = Talk(wire).up(), random.Random(1)
     sent: tuple[list[bytes], list[bytes]] = ([], [])
     for number in range(300):
-        for end, link in enumerate(reporter.links):
+        for end, link in enumerate(talk.links):
             payload = number.to_bytes(4, "little") * rng.choice([1, 25, 1000])
             link.send_data(PACKETS if rng.random() < 0.7 else SURFACES, 1, payload)
             sent[end].append(payload)
         if rng.random() < 0.2:
-            reporter.turn(rng.randrange(2))
-    reporter.until(lambda: all(len(heard) == 300 for heard in reporter.heard), "all messages")
-    assert payloads(reporter.heard[1]) == sent[0]
-    assert payloads(reporter.heard[0]) == sent[1]
+            talk.turn(rng.randrange(2))
+    talk.until(lambda: all(len(heard) == 300 for heard in talk.heard), "all messages")
+    assert payloads(talk.heard[1]) == sent[0]
+    assert payloads(talk.heard[0]) == sent[1]
 
 
 def test_orders_overtake_data_without_credit_and_stay_in_order(wire):
-    reporter = Talk(wire).up()
-    reporter.grants = False
+    talk = Talk(wire).up()
+    talk.grants = False
     for number in range(WINDOW + 5):
-        reporter.links[0].send_data(PACKETS, 1, bytes([number]))
+        talk.links[0].send_data(PACKETS, 1, bytes([number]))
     for number in range(10):
-        reporter.links[0].send_order(DOWN, {"number": number})
-    assert reporter.links[0].waiting == 5
-    reporter.until(lambda: len(reporter.heard[1]) == WINDOW + 10, "all that has credit")
-    orders = [read_order(arrival.message)["number"] for arrival in reporter.heard[1] if arrival.kind == DOWN]
+        talk.links[0].send_order(DOWN, {"number": number})
+    assert talk.links[0].waiting == 5
+    talk.until(lambda: len(talk.heard[1]) == WINDOW + 10, "all that has credit")
+    orders = [read_order(arrival.message)["number"] for arrival in talk.heard[1] if arrival.kind == DOWN]
     assert orders == list(range(10))
-    reporter.links[1].grant(WINDOW)
-    reporter.until(lambda: len(reporter.heard[1]) == WINDOW + 15, "the rest")
+    talk.links[1].grant(WINDOW)
+    talk.until(lambda: len(talk.heard[1]) == WINDOW + 15, "the rest")
 
 
 def doubled(raw: bytes) -> list[bytes]:
@@ -174,62 +174,62 @@ def lost(raw: bytes) -> list[bytes]:
 @pytest.mark.parametrize("what", [lost, doubled])
 @pytest.mark.parametrize("nth", [1, 3])
 def test_a_lost_or_doubled_message_is_noticed(wire, what, nth):
-    reporter = Talk(wire, left=Meddler(wire.ends[0], PACKETS, nth, what)).up()
+    talk = Talk(wire, left=Meddler(wire.ends[0], PACKETS, nth, what)).up()
     for _ in range(4):
-        reporter.links[0].send_data(PACKETS, 1, bytes(SIZE))
+        talk.links[0].send_data(PACKETS, 1, bytes(SIZE))
     with pytest.raises(ProtocolError, match=r"link right: message \d+ \(PACKETS\) came, wanted \d+: messages"):
-        reporter.until(lambda: False, "an error")
-    assert len(reporter.heard[1]) == (nth if what is doubled else nth - 1)
+        talk.until(lambda: False, "an error")
+    assert len(talk.heard[1]) == (nth if what is doubled else nth - 1)
 
 
 def test_messages_out_of_order_are_noticed(wire):
-    reporter = Talk(wire, left=Swapper(wire.ends[0], PACKETS, 2)).up()
+    talk = Talk(wire, left=Swapper(wire.ends[0], PACKETS, 2)).up()
     for number in range(4):
-        reporter.links[0].send_data(PACKETS, 1, bytes([number]))
+        talk.links[0].send_data(PACKETS, 1, bytes([number]))
     with pytest.raises(ProtocolError, match="lost, doubled or out of order"):
-        reporter.until(lambda: False, "an error")
-    assert payloads(reporter.heard[1]) == [b"\x00"]
+        talk.until(lambda: False, "an error")
+    assert payloads(talk.heard[1]) == [b"\x00"]
 
 
 def test_a_lost_order_is_noticed_by_the_next_message(wire):
-    reporter = Talk(wire, left=Meddler(wire.ends[0], DOWN, 1, lost)).up()
-    reporter.links[0].send_order(DOWN, {})
-    reporter.links[0].send_data(PACKETS, 1, bytes(SIZE))
+    talk = Talk(wire, left=Meddler(wire.ends[0], DOWN, 1, lost)).up()
+    talk.links[0].send_order(DOWN, {})
+    talk.links[0].send_data(PACKETS, 1, bytes(SIZE))
     with pytest.raises(ProtocolError, match="wanted"):
-        reporter.until(lambda: False, "an error")
+        talk.until(lambda: False, "an error")
 
 
 def test_a_message_of_another_epoch_is_counted_and_dropped(wire):
-    reporter = Talk(wire, epoch=3).up()
+    talk = Talk(wire, epoch=3).up()
     for epoch in (2, 4, 0):
         wire.ends[0].send(message(PACKETS, b"old", 1, sequence=77, epoch=epoch))
         wire.ends[0].send(message(BYE, epoch=epoch))
-    reporter.links[0].send_data(PACKETS, 1, b"new")
-    reporter.until(lambda: bool(reporter.heard[1]), "the new message")
-    assert payloads(reporter.heard[1]) == [b"new"]
-    assert reporter.links[1].stale == 6
-    assert reporter.links[1].state is LinkPhase.UP
+    talk.links[0].send_data(PACKETS, 1, b"new")
+    talk.until(lambda: bool(talk.heard[1]), "the new message")
+    assert payloads(talk.heard[1]) == [b"new"]
+    assert talk.links[1].stale == 6
+    assert talk.links[1].state is LinkPhase.UP
 
 
 def test_numbers_run_over_their_end(wire):
-    reporter = Talk(wire).up()
-    for link in reporter.links:
+    talk = Talk(wire).up()
+    for link in talk.links:
         link._counted.sent = link._counted.received = 2**32 - 5
         for counter in ("data_sent", "credit", "data_done", "data_told"):
             setattr(link._counted, counter, 2**32 - 50)
     for number in range(200):
-        for link in reporter.links:
+        for link in talk.links:
             link.send_data(PACKETS, 1, bytes([number]))
-    reporter.until(lambda: all(len(heard) == 200 for heard in reporter.heard), "all messages")
-    assert payloads(reporter.heard[0]) == [bytes([number]) for number in range(200)]
+    talk.until(lambda: all(len(heard) == 200 for heard in talk.heard), "all messages")
+    assert payloads(talk.heard[0]) == [bytes([number]) for number in range(200)]
 
 
 @pytest.mark.parametrize("credit", [1, 2**32 - 1, 2**31])
 def test_credit_for_what_was_never_sent_is_refused(wire, credit):
-    reporter = Talk(wire).up()
+    talk = Talk(wire).up()
     wire.ends[1].send(message(CREDIT, sequence=2, credit=credit))
     with pytest.raises(ProtocolError, match=f"the peer says it has processed {credit} messages, 0 were sent"):
-        received(wire, reporter.links[0])
+        received(wire, talk.links[0])
 
 
 def _flipped(at: int):
@@ -240,35 +240,35 @@ def _flipped(at: int):
     "damage", [_flipped(2), _flipped(5), _flipped(9), _flipped(17), _flipped(30), lambda raw: [raw[:-1]]]
 )
 def test_what_was_changed_on_its_way_is_refused(wire, damage):
-    reporter = Talk(wire, left=Meddler(wire.ends[0], PACKETS, 2, damage, sealed=False)).up()
+    talk = Talk(wire, left=Meddler(wire.ends[0], PACKETS, 2, damage, sealed=False)).up()
     for number in range(3):
-        reporter.links[0].send_data(PACKETS, 1, bytes([number]) * SIZE)
+        talk.links[0].send_data(PACKETS, 1, bytes([number]) * SIZE)
     with pytest.raises(ProtocolError, match="another checksum than its own: it was changed or cut on its way"):
-        reporter.until(lambda: False, "an error")
-    assert payloads(reporter.heard[1]) == [bytes(SIZE)]
+        talk.until(lambda: False, "an error")
+    assert payloads(talk.heard[1]) == [bytes(SIZE)]
 
 
 @pytest.mark.parametrize("raw", [b"", b"hello", bytes(HEAD), b"\xff" * 40])
 def test_rubbish_is_refused(wire, raw):
-    reporter = Talk(wire).up()
+    talk = Talk(wire).up()
     wire.ends[1].send(raw)
     with pytest.raises(ProtocolError):
-        received(wire, reporter.links[0])
+        received(wire, talk.links[0])
 
 
 def test_what_was_sent_is_counted(wire):
     watched = Watched(wire.ends[0])
-    reporter = Talk(wire, left=watched)
-    watched.peer = reporter.links[1]
-    reporter.up()
+    talk = Talk(wire, left=watched)
+    watched.peer = talk.links[1]
+    talk.up()
     for _ in range(100):
-        reporter.links[0].send_data(PACKETS, 2, bytes(2 * SIZE))
-    reporter.links[0].send_order(DOWN, {"do": "end"})
-    reporter.until(lambda: len(reporter.heard[1]) == 101, "all messages")
-    assert reporter.links[0].messages_sent == watched.messages
-    assert reporter.links[0].bytes_sent == watched.bytes
-    assert reporter.links[1].received == watched.messages
-    assert reporter.links[0].most_waiting >= 100 - WINDOW
+        talk.links[0].send_data(PACKETS, 2, bytes(2 * SIZE))
+    talk.links[0].send_order(DOWN, {"do": "end"})
+    talk.until(lambda: len(talk.heard[1]) == 101, "all messages")
+    assert talk.links[0].messages_sent == watched.messages
+    assert talk.links[0].bytes_sent == watched.bytes
+    assert talk.links[1].received == watched.messages
+    assert talk.links[0].most_waiting >= 100 - WINDOW
 
 
 # --- packets -------------------------------------------------------------------------------------
@@ -283,34 +283,34 @@ def output(packets: int) -> np.ndarray:
 
 @pytest.mark.parametrize(("batch", "sizes"), [(1, [1] * 10), (4, [4, 4, 2]), (10, [10]), (1024, [10])])
 def test_packets_are_cut_into_batches(wire, batch, sizes):
-    reporter = Talk(wire).up()
+    talk = Talk(wire).up()
     row = output(12)
-    reporter.links[0].send_packets(row, 10, batch)
+    talk.links[0].send_packets(row, 10, batch)
     row[:] = 0xEE  # the output is filled anew while messages wait
-    reporter.until(lambda: sum(arrival.items for arrival in reporter.heard[1]) == 10, "ten packets")
-    assert [arrival.items for arrival in reporter.heard[1]] == sizes
-    assert b"".join(payloads(reporter.heard[1])) == output(10)[HEAD:].tobytes()
+    talk.until(lambda: sum(arrival.items for arrival in talk.heard[1]) == 10, "ten packets")
+    assert [arrival.items for arrival in talk.heard[1]] == sizes
+    assert b"".join(payloads(talk.heard[1])) == output(10)[HEAD:].tobytes()
 
 
 def test_packets_wait_their_turn_behind_others(wire):
-    reporter = Talk(wire).up()
-    reporter.grants = False
+    talk = Talk(wire).up()
+    talk.grants = False
     for number in range(WINDOW + 3):
-        reporter.links[0].send_packets(output(number + 1), number + 1, 1024)
-    assert reporter.links[0].waiting == 3
-    reporter.until(lambda: len(reporter.heard[1]) == WINDOW, "the window")
-    reporter.links[1].grant(WINDOW)
-    reporter.until(lambda: len(reporter.heard[1]) == WINDOW + 3, "the rest")
-    assert [arrival.items for arrival in reporter.heard[1]] == list(range(1, WINDOW + 4))
+        talk.links[0].send_packets(output(number + 1), number + 1, 1024)
+    assert talk.links[0].waiting == 3
+    talk.until(lambda: len(talk.heard[1]) == WINDOW, "the window")
+    talk.links[1].grant(WINDOW)
+    talk.until(lambda: len(talk.heard[1]) == WINDOW + 3, "the rest")
+    assert [arrival.items for arrival in talk.heard[1]] == list(range(1, WINDOW + 4))
 
 
 def test_packets_do_not_overtake_what_had_no_room(wire):
     room = [True]
-    reporter = Talk(wire, left=Narrow(wire.ends[0], lambda: room[0])).up()
+    talk = Talk(wire, left=Narrow(wire.ends[0], lambda: room[0])).up()
     room[0] = False
-    reporter.links[0].send_order(DOWN, {})
-    assert reporter.links[0].choked
+    talk.links[0].send_order(DOWN, {})
+    assert talk.links[0].choked
     room[0] = True
-    reporter.links[0].send_packets(output(1), 1, 1024)
-    reporter.until(lambda: len(reporter.heard[1]) == 2, "both")
-    assert [arrival.kind for arrival in reporter.heard[1]] == [DOWN, PACKETS]
+    talk.links[0].send_packets(output(1), 1, 1024)
+    talk.until(lambda: len(talk.heard[1]) == 2, "both")
+    assert [arrival.kind for arrival in talk.heard[1]] == [DOWN, PACKETS]

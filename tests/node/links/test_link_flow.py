@@ -41,83 +41,83 @@ BYE, BYE_ACK = MessageKind.BYE, MessageKind.BYE_ACK
 
 def test_the_window_is_never_exceeded(wire):
     ends = [Watched(end) for end in wire.ends]
-    reporter, rng = Talk(wire, *ends), random.Random(2)
-    ends[0].peer, ends[1].peer = reporter.links[1], reporter.links[0]
-    reporter.up()
-    reporter.grants = False
+    talk, rng = Talk(wire, *ends), random.Random(2)
+    ends[0].peer, ends[1].peer = talk.links[1], talk.links[0]
+    talk.up()
+    talk.grants = False
     owed, sent = [0, 0], [0, 0]
     for _ in range(2000):
         end = rng.randrange(2)
         if rng.random() < 0.5 and sent[end] < 400:
-            reporter.links[end].send_data(PACKETS, 1, sent[end].to_bytes(4, "little"))
+            talk.links[end].send_data(PACKETS, 1, sent[end].to_bytes(4, "little"))
             sent[end] += 1
-        before = len(reporter.heard[end])
-        reporter.turn(end)
-        owed[end] += len(reporter.heard[end]) - before
+        before = len(talk.heard[end])
+        talk.turn(end)
+        owed[end] += len(talk.heard[end]) - before
         if rng.random() < 0.02 and owed[end]:
             given = rng.randint(1, owed[end])
-            reporter.links[end].grant(given)
+            talk.links[end].grant(given)
             owed[end] -= given
     for end in range(2):
-        reporter.links[end].grant(owed[end])
-    reporter.grants = True
-    reporter.until(lambda: [len(heard) for heard in reporter.heard] == sent[::-1], "all messages")
+        talk.links[end].grant(owed[end])
+    talk.grants = True
+    talk.until(lambda: [len(heard) for heard in talk.heard] == sent[::-1], "all messages")
     assert min(end.most_under_way for end in ends) == WINDOW  # and it was reached
 
 
 def test_without_credit_no_more_than_the_window_goes(wire):
     watched = Watched(wire.ends[0])
-    reporter = Talk(wire, left=watched).up()
-    reporter.grants = False
+    talk = Talk(wire, left=watched).up()
+    talk.grants = False
     for _ in range(3 * WINDOW):
-        reporter.links[0].send_data(SURFACES, 1, bytes(100))
-    reporter.until(lambda: len(reporter.heard[1]) == WINDOW, "the window")
-    reporter.turn(0)
+        talk.links[0].send_data(SURFACES, 1, bytes(100))
+    talk.until(lambda: len(talk.heard[1]) == WINDOW, "the window")
+    talk.turn(0)
     assert watched.data == WINDOW
-    assert reporter.links[0].waiting == 2 * WINDOW
-    assert not reporter.links[0].choked  # it waits for credit, not for room
+    assert talk.links[0].waiting == 2 * WINDOW
+    assert not talk.links[0].choked  # it waits for credit, not for room
 
 
 @pytest.mark.parametrize("share", [0.9, 0.5, 0.1])
 def test_a_channel_without_room_loses_nothing(wire, share):
     rng = random.Random(3)
     ends = [Narrow(end, lambda: rng.random() < share) for end in wire.ends]
-    reporter = Talk(wire, *ends)
+    talk = Talk(wire, *ends)
     for number in range(150):
-        for link in reporter.links:
+        for link in talk.links:
             if number % 10 == 0:
                 link.send_order(UP, {"number": number})
             else:
                 link.send_data(PACKETS, 1, number.to_bytes(2, "little"))
-    reporter.until(lambda: all(len(heard) == 150 for heard in reporter.heard), "all messages")
-    for heard in reporter.heard:
+    talk.until(lambda: all(len(heard) == 150 for heard in talk.heard), "all messages")
+    for heard in talk.heard:
         data = [int.from_bytes(arrival.message[HEAD:], "little") for arrival in heard if arrival.kind == PACKETS]
         assert data == [number for number in range(150) if number % 10]
         assert [read_order(a.message)["number"] for a in heard if a.kind == UP] == list(range(0, 150, 10))
-    for link in reporter.links:
+    for link in talk.links:
         link.close()
-    reporter.closed()
+    talk.closed()
 
 
 @pytest.mark.parametrize("room", [1, 2, 3])
 def test_a_small_room_in_memory_loses_nothing(room):
     with memory_wire() as wire:
         wire.ends = memory_channels(room)
-        reporter = Talk(wire)
+        talk = Talk(wire)
         for number in range(100):
-            for link in reporter.links:
+            for link in talk.links:
                 link.send_data(PACKETS, 1, bytes([number]))
-        reporter.until(lambda: all(len(heard) == 100 for heard in reporter.heard), "all messages")
-        for heard in reporter.heard:
+        talk.until(lambda: all(len(heard) == 100 for heard in talk.heard), "all messages")
+        for heard in talk.heard:
             assert payloads(heard) == [bytes([number]) for number in range(100)]
 
 
 def test_a_peer_that_does_not_read_blocks_nobody(wire):
-    reporter = Talk(wire).up()
+    talk = Talk(wire).up()
     for _ in range(10 * WINDOW):
-        reporter.links[0].send_data(PACKETS, 1000, bytes(1000 * SIZE))
-    assert reporter.links[0].waiting == 9 * WINDOW
-    reporter.until(lambda: len(reporter.heard[1]) == 10 * WINDOW, "all messages")
+        talk.links[0].send_data(PACKETS, 1000, bytes(1000 * SIZE))
+    assert talk.links[0].waiting == 9 * WINDOW
+    talk.until(lambda: len(talk.heard[1]) == 10 * WINDOW, "all messages")
 
 
 # --- closing -------------------------------------------------------------------------------------
@@ -126,17 +126,17 @@ def test_a_peer_that_does_not_read_blocks_nobody(wire):
 @pytest.mark.parametrize("script", ["01", "10", "0a1", "1b0", "0ab1", "0ba1ab", "0aabb1", "n01", "n0ab1"])
 def test_bye_and_its_answer_close_both_ends(wire, script):
     """Script: 0, 1: that end closes; a, b: left, right takes its turn; n: not even up."""
-    reporter = Talk(wire)
+    talk = Talk(wire)
     if "n" not in script:
-        reporter.up()
+        talk.up()
     for act in script.replace("n", ""):
         if act in "01":
-            reporter.links[int(act)].close()
+            talk.links[int(act)].close()
         else:
-            reporter.turn("ab".index(act))
-    reporter.closed()
-    assert all(link.peer_left for link in reporter.links)
-    assert reporter.heard == ([], [])
+            talk.turn("ab".index(act))
+    talk.closed()
+    assert all(link.peer_left for link in talk.links)
+    assert talk.heard == ([], [])
 
 
 @steady(150)
@@ -145,60 +145,60 @@ def test_links_close_whatever_the_order(script, room, up):
     """0, 1: that end closes; a, b: a turn; x, y: that end sends data. Over queues with next to no room."""
     with memory_wire() as wire:
         wire.ends = memory_channels(room)
-        reporter = Talk(wire).up() if up else Talk(wire)
+        talk = Talk(wire).up() if up else Talk(wire)
         for act in script:
             if act in "01":
-                reporter.links[int(act)].close()
+                talk.links[int(act)].close()
             elif act in "ab":
-                reporter.turn("ab".index(act))
+                talk.turn("ab".index(act))
             else:
-                reporter.links["xy".index(act)].send_data(PACKETS, 1, bytes(SIZE))
-        for link in reporter.links:
+                talk.links["xy".index(act)].send_data(PACKETS, 1, bytes(SIZE))
+        for link in talk.links:
             link.close()
-        reporter.closed()
+        talk.closed()
 
 
 def test_one_end_alone_does_not_close_a_link(wire):
-    reporter = Talk(wire).up()
-    reporter.links[0].close()
-    reporter.until(lambda: reporter.links[1].peer_left, "BYE")
-    reporter.turn(0)
-    assert reporter.links[0].state is LinkPhase.CLOSING
-    assert reporter.links[1].state is LinkPhase.UP
-    reporter.links[1].send_data(PACKETS, 1, b"late")  # who has not said BYE may still speak
-    reporter.until(lambda: bool(reporter.heard[0]), "the late message")
-    reporter.links[1].close()
-    reporter.closed()
+    talk = Talk(wire).up()
+    talk.links[0].close()
+    talk.until(lambda: talk.links[1].peer_left, "BYE")
+    talk.turn(0)
+    assert talk.links[0].state is LinkPhase.CLOSING
+    assert talk.links[1].state is LinkPhase.UP
+    talk.links[1].send_data(PACKETS, 1, b"late")  # who has not said BYE may still speak
+    talk.until(lambda: bool(talk.heard[0]), "the late message")
+    talk.links[1].close()
+    talk.closed()
 
 
 def test_orders_that_wait_go_before_bye_and_data_without_credit_is_given_up(wire):
     room = [True]
-    reporter = Talk(wire, left=Narrow(wire.ends[0], lambda: room[0])).up()
-    reporter.grants = False
+    talk = Talk(wire, left=Narrow(wire.ends[0], lambda: room[0])).up()
+    talk.grants = False
     for _ in range(WINDOW + 1):
-        reporter.links[0].send_data(PACKETS, 1, bytes(SIZE))
+        talk.links[0].send_data(PACKETS, 1, bytes(SIZE))
     room[0] = False
-    reporter.links[0].send_order(UP, {"last": True})
-    reporter.links[0].close()
+    talk.links[0].send_order(UP, {"last": True})
+    talk.links[0].close()
     room[0] = True
-    for link in reporter.links:
+    for link in talk.links:
         link.close()
-    reporter.closed()
-    assert [arrival.kind for arrival in reporter.heard[1]] == [PACKETS] * WINDOW + [UP]
+    talk.closed()
+    assert [arrival.kind for arrival in talk.heard[1]] == [PACKETS] * WINDOW + [UP]
 
 
 def test_a_closed_link_neither_sends_nor_takes(wire):
-    reporter = Talk(wire).up()
-    for link in reporter.links:
+    talk = Talk(wire).up()
+    for link in talk.links:
         link.close()
-    reporter.closed()
-    sent = reporter.links[0].messages_sent
-    reporter.links[0].close()
-    reporter.links[0].send_data(PACKETS, 1, bytes(SIZE))
-    reporter.links[0].grant(WINDOW)
+    talk.closed()
+    sent = talk.links[0].messages_sent
+    talk.links[0].close()
+    talk.links[0].send_data(PACKETS, 1, bytes(SIZE))
+    talk.links[0].grant(WINDOW)
     wire.ends[1].send(message(PACKETS, bytes(SIZE), 1))
-    assert reporter.links[0].receive() is None
-    assert reporter.links[0].messages_sent == sent
+    assert talk.links[0].receive() is None
+    assert talk.links[0].messages_sent == sent
 
 
 # --- a link that is damaged in any way -----------------------------------------------------------
@@ -220,22 +220,22 @@ def test_a_damaged_message_gives_an_error_or_does_no_harm(kind, nth, fields, cut
         def damage(raw: bytes) -> list[bytes]:
             return [renumbered(raw, **fields)[:cut]]
 
-        reporter = Talk(wire, left=Meddler(wire.ends[0], kind, nth, damage))
+        talk = Talk(wire, left=Meddler(wire.ends[0], kind, nth, damage))
         try:
             for number in range(3 * WINDOW):
-                reporter.links[0].send_data(PACKETS, 1, number.to_bytes(4, "little"))
+                talk.links[0].send_data(PACKETS, 1, number.to_bytes(4, "little"))
                 if number % WINDOW == 0:
-                    reporter.links[0].send_order(DOWN, {"number": number})
+                    talk.links[0].send_order(DOWN, {"number": number})
                 for end in (0, 1):
-                    reporter.turn(end)
-            for link in reporter.links:
+                    talk.turn(end)
+            for link in talk.links:
                 link.close()
             for _ in range(10):
                 for end in (0, 1):
-                    reporter.turn(end)
+                    talk.turn(end)
         except ProtocolError:
             pass
-        data = [p for a, p in zip(reporter.heard[1], payloads(reporter.heard[1]), strict=True) if len(p) == 4]
+        data = [p for a, p in zip(talk.heard[1], payloads(talk.heard[1]), strict=True) if len(p) == 4]
         untouched = [p for p in data if int.from_bytes(p, "little") < 3 * WINDOW]
         assert untouched == sorted(untouched, key=lambda p: int.from_bytes(p, "little"))
 
@@ -245,29 +245,29 @@ def test_a_damaged_message_gives_an_error_or_does_no_harm(kind, nth, fields, cut
 
 def test_several_parts_are_refused():
     with zeromq_wire() as wire:
-        reporter = Talk(wire).up()
+        talk = Talk(wire).up()
         wire.ends[1].socket.send_multipart([message(PACKETS, bytes(SIZE), 1, 2), b"more"])
         with pytest.raises(ProtocolError, match=r"ipc://.*: a message of several parts came, wanted one"):
-            received(wire, reporter.links[0])
+            received(wire, talk.links[0])
 
 
 def test_a_message_above_the_limit_never_arrives():
     with zeromq_wire() as wire:
-        reporter = Talk(wire).up()
+        talk = Talk(wire).up()
         left = wire.ends[0].socket
         monitor = left.get_monitor_socket(zmq.EVENT_DISCONNECTED)
         wire.ends[1].socket.send(bytes(MAX_MESSAGE + 1))
         assert monitor.poll(20_000), "the connection was not cut"
         left.disable_monitor()
         monitor.close(0)
-        assert reporter.links[0].receive() is None
+        assert talk.links[0].receive() is None
 
 
 def test_the_largest_message_arrives(wire):
-    reporter = Talk(wire).up()
-    reporter.links[0].send_data(PACKETS, 1, bytes(MAX_MESSAGE - HEAD))
-    reporter.until(lambda: bool(reporter.heard[1]), "the message")
-    assert len(reporter.heard[1][0].message) == MAX_MESSAGE
+    talk = Talk(wire).up()
+    talk.links[0].send_data(PACKETS, 1, bytes(MAX_MESSAGE - HEAD))
+    talk.until(lambda: bool(talk.heard[1]), "the message")
+    assert len(talk.heard[1][0].message) == MAX_MESSAGE
 
 
 def test_a_full_socket_says_so_and_blocks_not():

@@ -59,7 +59,7 @@ def scene() -> Scene:
 class Bed:
     """The node at 0,0,0 in the middle of a frame, and the link end of its neighbour, which a test speaks for."""
 
-    def __init__(self, context: zmq.Context[Any], place: str, link_table: bool, batch: int = 64) -> None:
+    def __init__(self, context: zmq.Context[Any], place: str, native: bool, batch: int = 64) -> None:
         self.pair, self.other = (
             ZmqChannel(context, f"ipc://{place}", True),
             ZmqChannel(context, f"ipc://{place}", False),
@@ -78,7 +78,7 @@ class Bed:
             self.node.node_state.retain(batch_of_kind, batch_of_kind.bounds())
         self.node.node_state.build()
         self.node.node_state.set_frame(scene().frame)
-        if link_table:
+        if native:
             self.node.use_native_links(NativeLinkTable(links, {UPWARDS: self.pair}, self.node.reductions.reduction))
 
     def until(self, done: Any) -> None:
@@ -132,8 +132,8 @@ def made() -> Iterator[Any]:
     beds: list[Bed] = []
 
     def make(**options: Any) -> list[Bed]:
-        for link_table in (False, True):
-            beds.append(Bed(context, f"{directory}/{len(beds)}", link_table, **options))
+        for native in (False, True):
+            beds.append(Bed(context, f"{directory}/{len(beds)}", native, **options))
         return beds[-2:]
 
     try:
@@ -213,25 +213,25 @@ def outcome(bed: Bed, raw: list[bytes], taken: int | None = None) -> dict[str, A
 
 
 def test_packets_have_the_same_consequences(beds):
-    plain, link_table = beds()
+    plain, native = beds()
     groups = [some_packets(n, n) for n in (1, 64, 3, 40, 64, 2)]
-    outcomes = [outcome(bed, messages(bed.peer, groups)) for bed in (plain, link_table)]
+    outcomes = [outcome(bed, messages(bed.peer, groups)) for bed in (plain, native)]
     assert outcomes[0] == outcomes[1]
     assert outcomes[1]["received"][2] == len(groups)
-    assert link_table.node.node_state.native.links[UPWARDS]["data_done"] == len(groups)
-    sent = [bed.answers() for bed in (plain, link_table)]
+    assert native.node.node_state.native.links[UPWARDS]["data_done"] == len(groups)
+    sent = [bed.answers() for bed in (plain, native)]
     assert sent[0] == sent[1]
     assert len(sent[1]) > 20
 
 
 def test_compiled_code_serves_the_link_and_python_does_not(beds, monkeypatch):
-    _, link_table = beds()
+    _, native = beds()
     monkeypatch.setattr(Link, "receive", lambda self: pytest.fail("Python received"))
     monkeypatch.setattr(Link, "send_packets", lambda self, *rest: pytest.fail("Python sent"))
-    link_table.work(0)  # marks what is regular
-    assert outcome(link_table, messages(link_table.peer, [some_packets(50)]))["said"] == ""
-    assert link_table.node.node_state.native.links[UPWARDS]["socket"] == link_table.pair.socket.underlying
-    assert link_table.node.node_state.native.links[UPWARDS]["regular"] == 1
+    native.work(0)  # marks what is regular
+    assert outcome(native, messages(native.peer, [some_packets(50)]))["said"] == ""
+    assert native.node.node_state.native.links[UPWARDS]["socket"] == native.pair.socket.underlying
+    assert native.node.node_state.native.links[UPWARDS]["regular"] == 1
 
 
 def test_a_link_without_a_socket_of_its_own_is_left_to_python(beds):
@@ -246,10 +246,10 @@ def test_a_link_without_a_socket_of_its_own_is_left_to_python(beds):
 
 def test_without_the_functions_python_serves_all(beds, monkeypatch):
     monkeypatch.setattr(zmq_c_api, "find_functions", lambda: None)
-    plain, link_table = beds()
-    assert not link_table.node.serves_itself(UPWARDS)
+    plain, native = beds()
+    assert not native.node.serves_itself(UPWARDS)
     assert outcome(plain, messages(plain.peer, [some_packets(9)])) == outcome(
-        link_table, messages(link_table.peer, [some_packets(9)])
+        native, messages(native.peer, [some_packets(9)])
     )
 
 
@@ -347,26 +347,26 @@ def test_numbers_run_over_their_end(beds):
 
 def test_credit_is_told_and_bounds_what_is_sent(beds):
     """One packet a message: compiled code stops at the window, the rest waits in the link, and goes with the credit."""
-    _, link_table = beds(batch=1)
+    _, native = beds(batch=1)
     packets = [packet for packet in some_packets(400, 5) if packet[0] & 7 != 5]  # of returns nothing comes
-    raw = messages(link_table.peer, [packets[k : k + 30] for k in range(0, 240, 30)])
-    assert outcome(link_table, raw)["said"] == ""
-    assert link_table.link.data_sent == WINDOW
-    assert link_table.link.waiting > 0
-    link_table.node.links[HOST].give_up()
+    raw = messages(native.peer, [packets[k : k + 30] for k in range(0, 240, 30)])
+    assert outcome(native, raw)["said"] == ""
+    assert native.link.data_sent == WINDOW
+    assert native.link.waiting > 0
+    native.node.links[HOST].give_up()
     for _ in range(TURNS):
-        while (arrival := link_table.peer.receive()) is not None:
+        while (arrival := native.peer.receive()) is not None:
             assert arrival.items == 1
-            link_table.peer.grant()
-        link_table.node.receive(UPWARDS)
-        link_table.node.work()
-        if link_table.link.waiting == 0 and link_table.peer.received == link_table.link.messages_sent:
+            native.peer.grant()
+        native.node.receive(UPWARDS)
+        native.node.work()
+        if native.link.waiting == 0 and native.peer.received == native.link.messages_sent:
             break
-        link_table._poller.poll(20)
+        native._poller.poll(20)
     else:
         pytest.fail("what waits for credit is never sent")
-    assert link_table.link.data_sent > 2 * WINDOW
-    assert link_table.peer._counted.received == link_table.link.messages_sent
+    assert native.link.data_sent > 2 * WINDOW
+    assert native.peer._counted.received == native.link.messages_sent
 
 
 @given(payload=st.binary(max_size=3000), numbers=st.tuples(*[st.integers(0, 2**32 - 1)] * 3))

@@ -129,7 +129,7 @@ def scene() -> Scene:
 class Middle:
     """The node at 1,0,0 in the middle of a frame, and the link ends of both neighbours, for which a test speaks."""
 
-    def __init__(self, context: zmq.Context[Any], place: str, link_table: bool) -> None:
+    def __init__(self, context: zmq.Context[Any], place: str, native: bool) -> None:
         self.pairs = {port: ZmqChannel(context, f"ipc://{place}-{port}", True) for port in PEERS}
         self.others = {port: ZmqChannel(context, f"ipc://{place}-{port}", False) for port in PEERS}
         self.node: Processor
@@ -156,7 +156,7 @@ class Middle:
             self.node.node_state.retain(batch, batch.bounds())
         self.node.node_state.build()
         self.node.node_state.set_frame(scene().frame)
-        if link_table:
+        if native:
             self._link_table = NativeLinkTable(links, self.pairs, self.node.reductions.reduction)
             self.node.use_native_links(self._link_table)
 
@@ -201,8 +201,8 @@ def middles() -> Iterator[Any]:
     directory, context = tempfile.mkdtemp(prefix="rgtest-", dir="/tmp"), zmq.Context(io_threads=1)
     made: list[Middle] = []
 
-    def make(link_table: bool) -> Middle:
-        made.append(Middle(context, f"{directory}/{len(made)}", link_table))
+    def make(native: bool) -> Middle:
+        made.append(Middle(context, f"{directory}/{len(made)}", native))
         return made[-1]
 
     try:
@@ -307,8 +307,8 @@ ODD = {
 @pytest.mark.parametrize("odd", ODD)
 def test_what_is_odd_is_left_to_python(make, odd):
     said = []
-    for link_table in (False, True):
-        middle = make(link_table)
+    for native in (False, True):
+        middle = make(native)
         middle.node.work()
         for port, kind, payload in ODD[odd]:
             middle.say(port, kind, payload)
@@ -320,8 +320,8 @@ def test_what_is_odd_is_left_to_python(make, odd):
 
 def test_it_is_answered_when_all_is_done(make):
     """Although the node was given work with it, and has a long time."""
-    for link_table in (False, True):
-        middle = make(link_table)
+    for native in (False, True):
+        middle = make(native)
         packets = [return_bytes(1, k % 400, (0.5, 1.5, 0.0), (1, 0, 0)) for k in range(300)]
         middle.peers[LOW].send_data(MessageKind.PACKETS, len(packets), b"".join(packets))
         middle.say(LOW, MessageKind.REDUCE, request_bytes([4, 20_000, LONG, 0, 0, 64]))
@@ -332,11 +332,11 @@ def test_it_is_answered_when_all_is_done(make):
         assert (sums[reduction.SUM_WAITING], sums[reduction.HOMES_LEFT]) == (0, 0)
 
 
-@pytest.mark.parametrize("link_table", [False, True])
-def test_a_node_that_is_never_idle_answers_at_the_deadline_and_not_before(make, monkeypatch, link_table):
+@pytest.mark.parametrize("native", [False, True])
+def test_a_node_that_is_never_idle_answers_at_the_deadline_and_not_before(make, monkeypatch, native):
     monkeypatch.setattr(Processor, "_idle", lambda self: False)
     monkeypatch.setattr(Processor, "_is_occupied", property(lambda self: True))
-    middle = make(link_table)
+    middle = make(native)
     state = middle.node.reductions.state
     for number, hold in ((4, 0), (5, LONG)):
         middle.say(LOW, MessageKind.REDUCE, request_bytes([number, 50, hold, 0, 0, 64]))
@@ -365,8 +365,8 @@ def test_any_request_has_the_same_consequences(fields, wrong, value):
     """Sound ones and spoilt ones, with their own checksums."""
     outcomes = []
     with middles() as maker:
-        for link_table in (False, True):
-            middle = maker(link_table)
+        for native in (False, True):
+            middle = maker(native)
             middle.node.work()
             link = middle.peers[LOW]
             raw = bytearray(
