@@ -46,7 +46,7 @@ class Lanes(ABC):
 
     @abstractmethod
     def choose(self, yes: Number, no: Number) -> Lanes:
-        """Choose by truths: where they hold the one, elsewhere the other. At least one is no plain number."""
+        """Choose by truths: where they hold the one, elsewhere the other. Two plain numbers must be whole: int64."""
 
     @abstractmethod
     def lacks(self, other: Lanes) -> Lanes:
@@ -238,6 +238,7 @@ def dot(a: Three, b: Three) -> Lanes:
 
 # what formulas take and give: a kind, an array, or a tuple of these; a named tuple comes as one of its class
 Declared: TypeAlias = Any
+Staged: TypeAlias = Any  # what a formula is given of a named tuple: one of its class, of Lanes and Memory
 
 
 class Array:

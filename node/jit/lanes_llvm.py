@@ -99,8 +99,8 @@ class LlvmLanes(Lanes):
         return self._of(self.builder.fneg(self.value) if self.kind in FLOATS else self.builder.neg(self.value))
 
     def choose(self, yes: Number, no: Number) -> Lanes:
-        kind = yes if isinstance(yes, LlvmLanes) else no
-        assert isinstance(kind, LlvmLanes)
+        whole = LlvmLanes(self.builder, ir.Constant(_TYPES[I64], 0), I64)
+        kind = next((one for one in (yes, no) if isinstance(one, LlvmLanes)), whole)
         a, b = (one if isinstance(one, LlvmLanes) else kind.every(one) for one in (yes, no))  # type: ignore[arg-type]
         truths = self
         if any(one.is_wide for one in (truths, a, b)):

@@ -78,7 +78,7 @@ class NumpyLanes(Lanes):
         return self._of(np.negative(self.value))
 
     def choose(self, yes: Number, no: Number) -> Lanes:
-        kind = next(one for one in (yes, no) if isinstance(one, NumpyLanes))
+        kind = next((one for one in (yes, no) if isinstance(one, NumpyLanes)), NumpyLanes(0, I64))
         return kind._of(np.where(self.value, kind._same(yes), kind._same(no)))
 
     def lacks(self, other: Lanes) -> Lanes:
@@ -147,7 +147,9 @@ def interpret(
     def given(declared: Declared, value: Any) -> Any:
         if isinstance(declared, Array):
             return NumpyMemory(value, lanes)
-        whole = np.asarray(value).dtype.kind not in "fiub" or (declared not in FLOATS and np.asarray(value).dtype.kind == "f")
+        whole = np.asarray(value).dtype.kind not in "fiub" or (
+            declared not in FLOATS and np.asarray(value).dtype.kind == "f"
+        )
         if whole:
             raise TypeError(f"came {value!r}, wanted {declared}")
         return NumpyLanes(value, declared)
