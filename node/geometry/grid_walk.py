@@ -33,7 +33,7 @@ def inverse(d: Lanes) -> Lanes:
 @formula(takes=(CELL, LATTICE_POINT), gives=I64)
 def behind(cell: Staged, origin: Three) -> Lanes:
     """Mark the ports behind which a lattice point lies, a bit each; 0 for one in the cell."""
-    bits = []
+    bits: list[Lanes] = []
     for axis, at in enumerate(origin):
         low, high = cell.low[axis].to(at.kind), cell.high[axis].to(at.kind)
         bits += [(at < low).to(at.kind) << (2 * axis), (at >= high).to(at.kind) << (2 * axis + 1)]
@@ -43,7 +43,7 @@ def behind(cell: Staged, origin: Three) -> Lanes:
 @formula(takes=(CELL, LATTICE_POINT), gives=I64)
 def towards_start(cell: Staged, origin: Three) -> Lanes:
     """The port on the way to the cell that holds this lattice origin, x before y before z; NO_PORT: it is here."""
-    ports = behind(cell, origin)
+    ports: Lanes = behind(cell, origin)
     return ports.equals(0).choose(NO_PORT, ports.lowest_bit())
 
 
@@ -53,13 +53,15 @@ def is_walking(cell: Staged, origin: Three, port: Lanes) -> Lanes:
 
     If its hop brought it nearer to that cell instead, it is still on its way to its start.
     """
-    return behind(cell, origin) >> port & 1 >= 1
+    ports: Lanes = behind(cell, origin)
+    return ports >> port & 1 >= 1
 
 
 @formula(takes=(CELL, LATTICE_POINT, I64), gives=BIT)
 def is_before_start(cell: Staged, origin: Three, port: Lanes) -> Lanes:
     """Tell whether a ray that came in by `port` has to go to the cell of its origin first."""
-    return (behind(cell, origin) >= 1).lacks(is_walking(cell, origin, port))
+    ports: Lanes = behind(cell, origin)
+    return (ports >= 1).lacks(is_walking(cell, origin, port))
 
 
 @formula(takes=(CELL, VECTOR, VECTOR), gives=(F64, F64, I64))

@@ -59,7 +59,7 @@ class Cell(NamedTuple):
     high_at: tuple[float, float, float]
 
 
-CELL = Cell(LATTICE_POINT, LATTICE_POINT, LATTICE_POINT, VECTOR, VECTOR)  # as formulas take it  # type: ignore[arg-type]
+CELL = Cell(*(LATTICE_POINT,) * 3, *(VECTOR,) * 2)  # type: ignore[arg-type]  # as formulas take it
 
 
 @formula(takes=(I64, F64), gives=F64)

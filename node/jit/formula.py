@@ -11,6 +11,9 @@ of numbers or of arrays. Called with `Lanes`, by another formula, it is a part o
 RAYGRID_SIMD=0 in the environment it is code for one number, eight times over.
 """
 
+# mypy: disallow-untyped-calls=False
+# numba's helpers have no types
+
 from __future__ import annotations
 
 import inspect
@@ -19,9 +22,8 @@ from collections.abc import Callable
 from functools import wraps
 from typing import Any, TypeVar, cast
 
+from numba.core import types
 from numba.extending import lower_builtin, type_callable
-from numba.types import Any as AnyType
-from numba.types import VarArg
 
 from raygrid.node.jit.lanes import EIGHT, Declared, Lanes, Memory
 from raygrid.node.jit.lanes_numpy import interpret
@@ -35,7 +37,7 @@ def has_simd() -> bool:
     return os.environ.get(SIMD_SWITCH, "1") != "0"
 
 
-def formula(takes: tuple[Declared, ...], gives: Declared) -> Callable[[F], Any]:
+def formula(takes: tuple[Declared, ...], gives: Declared) -> Callable[[F], Callable[..., Any]]:
     """Make a function of a formula.
 
     takes, gives  a kind of `node.jit.lanes`, ARRAY, a tuple of these or a named tuple of these; gives None for nothing
@@ -43,7 +45,9 @@ def formula(takes: tuple[Declared, ...], gives: Declared) -> Callable[[F], Any]:
     return _maker(takes, gives, wide=False, carries=False)
 
 
-def eight(takes: tuple[Declared, ...], gives: Declared = None, carries: bool = False) -> Callable[[F], Any]:
+def eight(
+    takes: tuple[Declared, ...], gives: Declared = None, carries: bool = False
+) -> Callable[[F], Callable[..., Any]]:
     """Make a function of what is done to eight at once.
 
     carries  the last argument is what the lanes before gave, as a count that each lane adds to
@@ -58,8 +62,10 @@ def _is_staged(argument: Any) -> bool:
     return isinstance(argument, (Lanes, Memory))
 
 
-def _maker(takes: tuple[Declared, ...], gives: Declared, *, wide: bool, carries: bool) -> Callable[[F], Any]:
-    def make(staged: F) -> Any:
+def _maker(
+    takes: tuple[Declared, ...], gives: Declared, *, wide: bool, carries: bool
+) -> Callable[[F], Callable[..., Any]]:
+    def make(staged: F) -> Callable[..., Any]:
         @wraps(staged)
         def run(*arguments: Any) -> Any:
             if any(map(_is_staged, arguments)):
@@ -84,7 +90,7 @@ def _teach_numba(
 
     def typing(context: Any) -> Callable[..., Any]:
         def typer(*arguments: Any) -> Any:
-            from numba.core.typing import signature
+            from numba.core.typing.templates import signature
 
             from raygrid.node.jit.lanes_llvm import result_type, type_of
 
@@ -109,4 +115,4 @@ def _teach_numba(
         return codegen.result(gives, signature.return_type, result)
 
     type_callable(run)(typing)
-    lower_builtin(run, cast(Any, VarArg(AnyType)))(lower)
+    lower_builtin(run, types.VarArg(types.Any))(lower)

@@ -183,7 +183,7 @@ class LlvmMemory(Memory):
 _SIZES = {F64: 8, F32: 4, I64: 8, I32: 4, U8: 1}
 
 
-def type_of(declared: Declared, came: types.Type) -> types.Type:
+def type_of(declared: Declared, came: Any) -> Any:
     """The type of numba as which an argument is taken: what is declared; of an array what came.
 
     Raises TypeError if what came is no contiguous array where one is declared.
@@ -194,7 +194,7 @@ def type_of(declared: Declared, came: types.Type) -> types.Type:
         return came
     if not isinstance(declared, tuple):
         return types.boolean if declared == BIT else getattr(types, declared)
-    if not isinstance(came, types.BaseTuple) or len(came) != len(declared):
+    if getattr(came, "count", None) != len(declared):
         raise TypeError(f"{came} is no tuple of {len(declared)}")
     parts = [type_of(*each) for each in zip(declared, came, strict=True)]
     if hasattr(declared, "_fields"):
@@ -203,7 +203,7 @@ def type_of(declared: Declared, came: types.Type) -> types.Type:
     return types.Tuple(parts)
 
 
-def result_type(gives: Declared) -> types.Type:
+def result_type(gives: Declared) -> Any:
     """The type of numba of what a formula gives."""
     if gives is None:
         return types.void
@@ -221,7 +221,7 @@ class Codegen:
     def arguments(self, takes: tuple[Declared, ...], signature: Any, values: Any, lane: int | None) -> list[Any]:
         """What the formula is called with; arrays are read by vectors, or at the place of a lane."""
 
-        def given(declared: Declared, kind: types.Type, value: ir.Value) -> Any:
+        def given(declared: Declared, kind: Any, value: ir.Value) -> Any:
             if isinstance(declared, tuple):
                 parts = [given(part, kind[k], self._builder.extract_value(value, k)) for k, part in enumerate(declared)]
                 return type(declared)(*parts) if hasattr(declared, "_fields") else tuple(parts)
@@ -232,7 +232,7 @@ class Codegen:
 
         return [given(*each) for each in zip(takes, signature.args, values, strict=True)]
 
-    def result(self, gives: Declared, kind: types.Type, result: Any) -> ir.Value:
+    def result(self, gives: Declared, kind: Any, result: Any) -> ir.Value:
         """The value that the call gives."""
         if gives is None:
             return self._context.get_dummy_value()

@@ -1,4 +1,6 @@
-"""Defines the bytes of packets, reads and checks them; only `node.protocol.packing` knows them, too. Every packet is exactly 25 bytes, little-endian.
+"""Defines the bytes of packets, reads and checks them; of others only `node.protocol.packing` knows them.
+
+Every packet is exactly 25 bytes, little-endian.
 
 ======  ==========================  ==========================  =======================  ====================
 offset  PRIMARY REFLECTED REFRACTED  SHADOW                      RETURN                   PIXEL

@@ -97,7 +97,7 @@ def classify(surfaces, many, shadows, box, ends, setup):
     lists, met = setup.lists, setup.met
     tops = (np.int64(0), np.int64(0), np.int64(0))
     for j in range(0, many, EIGHT):
-        if shadows:
+        if shadows:  # noqa: SIM108  # a choice in one line is longer
             tops = _classify_shadows(setup, j, many, box, ends, tops)
         else:
             tops = _classify_rays(setup, j, many, box, ends, tops)
