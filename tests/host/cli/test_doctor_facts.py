@@ -20,6 +20,8 @@ from raygrid.host.cli import doctor_facts
 from raygrid.node.jit import cache, fast_load, trusted_files
 from raygrid.node.links import zmq_c_api
 
+pytestmark = pytest.mark.usefixtures("fast_paths_on")
+
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 PLENTY = Resources(*(Bound(UNLIMITED, "no limit") for _ in range(4)))
 
@@ -59,10 +61,10 @@ def test_a_library_that_cannot_be_imported_is_told_with_why(monkeypatch):
 
 
 def test_variables_that_are_set_are_told(monkeypatch):
-    monkeypatch.setenv("RAYGRID_LINKS", "python")
+    monkeypatch.setenv("RAYGRID_NATIVE_LINKS", "0")
     monkeypatch.setenv("UNRELATED", "x")
     found = doctor_facts.read_environment()
-    assert found["RAYGRID_LINKS"] == "python"
+    assert found["RAYGRID_NATIVE_LINKS"] == "0"
     assert "UNRELATED" not in found
 
 
@@ -70,9 +72,9 @@ def test_variables_that_are_set_are_told(monkeypatch):
 
 
 def test_links_served_by_python_are_told_with_why(monkeypatch):
-    monkeypatch.setattr(zmq_c_api, "_look_for_functions", lambda: (None, "RAYGRID_LINKS=python asks for it"))
+    monkeypatch.setattr(zmq_c_api, "_look_for_functions", lambda: (None, "RAYGRID_NATIVE_LINKS=0 asks for it"))
     found = doctor_facts.read_fast_paths()["native links"]
-    assert (found["on"], found["why"]) == (False, "RAYGRID_LINKS=python asks for it")
+    assert (found["on"], found["why"]) == (False, "RAYGRID_NATIVE_LINKS=0 asks for it")
 
 
 @pytest.mark.parametrize(
