@@ -9,8 +9,10 @@ from __future__ import annotations
 import contextlib
 import errno
 import importlib
+import operator
 import os
 import platform
+import re
 import shutil
 import sys
 import tempfile
@@ -125,6 +127,32 @@ def _version(name: str) -> str | None:
         return metadata.version(name)
     except metadata.PackageNotFoundError:
         return None
+
+
+def read_misfits() -> dict[str, str]:
+    """Read which libraries have versions that raygrid was not tried with; returns distribution -> what is wanted."""
+    misfits = {}
+    for wanted in metadata.requires("raygrid") or () if _version("raygrid") else ():
+        found = re.fullmatch(r"([A-Za-z0-9_.-]+)((?:[<>]=?[0-9.]+,?)+)", wanted.replace(" ", ""))
+        version = _version(found[1]) if found else None
+        if found is not None and version is not None and not _fits(version, found[2]):
+            misfits[found[1]] = found[2]
+    return misfits
+
+
+def _fits(version: str, bounds: str) -> bool:
+    """Tell whether a version keeps bounds as of pyproject.toml, such as ">=1.2,<3"."""
+    compare = {">=": operator.ge, "<": operator.lt, "<=": operator.le, ">": operator.gt}
+    pairs = re.findall(r"([<>]=?)([0-9.]+)", bounds)
+    return all(compare[sign](_release(version), _release(bound)) for sign, bound in pairs)
+
+
+def _release(version: str) -> list[int]:
+    """The numbers with which a version begins, without zeros at the end: a pre-release counts as what it comes before."""
+    numbers = [int(number) for number in re.findall(r"\d+", re.match(r"[0-9.]*", version)[0])]  # type: ignore[index]
+    while numbers and numbers[-1] == 0:
+        numbers.pop()
+    return numbers
 
 
 def read_faults() -> dict[str, str]:

@@ -85,6 +85,14 @@ def test_a_library_that_is_broken(monkeypatch):
     assert "native links" not in done.out
 
 
+def test_a_library_that_was_not_tried(monkeypatch):
+    monkeypatch.setattr(doctor_facts, "read_misfits", lambda: {"numpy": ">=9"})
+    done = here("doctor")
+    assert done.code == 0
+    version = json.loads(here("doctor", "--json").out)["versions"]["numpy"]
+    assert f"advice: numpy: {version}, with which this raygrid was not tried: pip install 'numpy>=9'" in said(done)
+
+
 def test_a_library_that_is_missing(monkeypatch):
     monkeypatch.setattr(doctor_facts, "NEEDED", ("numpy", "no-such"))
     done = here("doctor")
