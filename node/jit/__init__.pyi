@@ -1,3 +1,5 @@
+from .compile_events import always_heard_by as always_heard_by
+from .compile_events import compiling_heard_by as compiling_heard_by
 from .decorators import is_on_disk as is_on_disk
 from .decorators import kernel as kernel
 from .decorators import lean as lean

@@ -17,7 +17,6 @@ RAYGRID_SIMD=0 in the environment it is code for one number, eight times over.
 from __future__ import annotations
 
 import inspect
-import os
 from collections.abc import Callable
 from functools import wraps
 from typing import Any, TypeVar, cast
@@ -27,14 +26,9 @@ from numba.extending import lower_builtin, type_callable
 
 from raygrid.node.jit.lanes import EIGHT, Declared, Lanes, Memory
 from raygrid.node.jit.lanes_numpy import interpret
+from raygrid.node.jit.switches import SIMD, why_off
 
-SIMD_SWITCH = "RAYGRID_SIMD"
 F = TypeVar("F", bound=Callable[..., Any])
-
-
-def has_simd() -> bool:
-    """Tell whether eight numbers are given to LLVM as a vector: unless RAYGRID_SIMD is 0."""
-    return os.environ.get(SIMD_SWITCH, "1") != "0"
 
 
 def formula(takes: tuple[Declared, ...], gives: Declared) -> Callable[[F], Callable[..., Any]]:
@@ -105,7 +99,7 @@ def _teach_numba(
         from raygrid.node.jit.lanes_llvm import Codegen
 
         codegen = Codegen(context, builder)
-        lanes = [None] if not wide or has_simd() else list(range(EIGHT))
+        lanes = [None] if not wide or why_off(SIMD) is None else list(range(EIGHT))
         result: Any = None
         for lane in lanes:
             arguments = codegen.arguments(takes, signature, values, lane if wide else 0)

@@ -14,6 +14,7 @@ from typing import Any
 from llvmlite import ir
 from numba.core import cgutils, types
 
+from raygrid.node.jit.intrinsics import element
 from raygrid.node.jit.lanes import BIT, EIGHT, F32, F64, FLOATS, I32, I64, U8, Array, Declared, Lanes, Memory, Number
 
 _TYPES = {F64: ir.DoubleType(), F32: ir.FloatType(), I64: ir.IntType(64), I32: ir.IntType(32), U8: ir.IntType(8)}
@@ -135,16 +136,15 @@ class LlvmLanes(Lanes):
 class LlvmMemory(Memory):
     """An array of numba, of which a vector, or the lane of this number, is read at once."""
 
-    def __init__(self, builder: ir.IRBuilder, data: ir.Value, kind: str, lane: int | None) -> None:
-        self._builder, self._data, self._kind, self._lane = builder, data, kind, lane
+    def __init__(self, context: Any, builder: ir.IRBuilder, kind: Any, array: ir.Value, lane: int | None) -> None:
+        self._context, self._builder, self._array_kind, self._array = context, builder, kind, array
+        self._kind, self._lane = str(kind.dtype), lane
 
-    def _pointer(self, place: Lanes | int, lane: int = 0) -> ir.Value:
+    def _pointer(self, place: Lanes | int, lane: int = 0, many: int = 1) -> ir.Value:
         at: ir.Value = place.value if isinstance(place, LlvmLanes) else ir.Constant(_TYPES[I64], place)
         if lane:
             at = self._builder.add(at, ir.Constant(_TYPES[I64], lane))
-        pointer = self._builder.gep(self._data, [at], source_etype=_TYPES[self._kind])
-        pointer.type = ir.PointerType()  # llvmlite may still give the data's pointer a type; here it must have none
-        return pointer
+        return element(self._context, self._builder, self._array_kind, self._array, at, many)
 
     def _loaded(self, pointer: ir.Value, of: ir.Type) -> LlvmLanes:
         return LlvmLanes(self._builder, self._builder.load(pointer, align=_SIZES[self._kind], typ=of), self._kind)
@@ -155,16 +155,20 @@ class LlvmMemory(Memory):
     def read(self, place: Lanes | int) -> Lanes:
         if self._lane is not None:
             return self._loaded(self._pointer(place, self._lane), _TYPES[self._kind])
-        return self._loaded(self._pointer(place), ir.VectorType(_TYPES[self._kind], EIGHT))
+        return self._loaded(self._pointer(place, many=EIGHT), ir.VectorType(_TYPES[self._kind], EIGHT))
 
     def write(self, place: Lanes | int, lanes: Lanes) -> None:
         assert isinstance(lanes, LlvmLanes)
-        value = lanes.splat().value if self._lane is None else lanes.value
-        self._builder.store(value, self._pointer(place, self._lane or 0), align=_SIZES[self._kind])
+        if self._lane is None:
+            value, pointer = lanes.splat().value, self._pointer(place, many=EIGHT)
+        else:
+            value, pointer = lanes.value, self._pointer(place, self._lane)
+        self._builder.store(value, pointer, align=_SIZES[self._kind])
 
     def append(self, place: Lanes, lanes: Lanes, chosen: Lanes) -> Lanes:
         assert isinstance(lanes, LlvmLanes) and isinstance(chosen, LlvmLanes)
-        pointer, builder = self._pointer(place), self._builder
+        builder = self._builder
+        pointer = self._pointer(place, many=EIGHT if self._lane is None else 1)
         if self._lane is not None:
             builder.store(lanes.value, pointer, align=_SIZES[self._kind])
             return chosen.to(I64)
@@ -226,8 +230,7 @@ class Codegen:
                 parts = [given(part, kind[k], self._builder.extract_value(value, k)) for k, part in enumerate(declared)]
                 return type(declared)(*parts) if hasattr(declared, "_fields") else tuple(parts)
             if isinstance(declared, Array):
-                data = self._context.make_array(kind)(self._context, self._builder, value).data
-                return LlvmMemory(self._builder, data, str(kind.dtype), lane)
+                return LlvmMemory(self._context, self._builder, kind, value, lane)
             return LlvmLanes(self._builder, value, declared)
 
         return [given(*each) for each in zip(takes, signature.args, values, strict=True)]

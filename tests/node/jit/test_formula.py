@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,12 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit
-from support.cli import as_process
 from support.ray_setup import CELLS, STEPS
 
 from raygrid.node.geometry import bvh_boxes, grid_walk, lattice
 from raygrid.node.geometry.lattice import CELL, LATTICE
-from raygrid.node.jit.formula import SIMD_SWITCH, eight, formula
+from raygrid.node.jit.formula import eight, formula
 from raygrid.node.jit.lanes import ARRAY, BIT, EIGHT, F32, F64, I64, LATTICE_POINT, VECTOR, Columns, mapped
 from raygrid.node.protocol import packing
 from raygrid.node.protocol.packing import HALF_DIRECTION, LARGEST_BINARY32, WORDS
@@ -204,15 +201,3 @@ def test_wrong_arguments() -> None:
         packing.unit_vector(0.5, 1)
     with pytest.raises(IndexError, match=r"places 3\.\.10 of an array of 8"):
         bvh_boxes.copy_keys(np.zeros(8, np.int64), 3, np.zeros(8, np.int64), 0)
-
-
-@pytest.mark.slow
-def test_without_simd_the_picture_is_the_same(tmp_path: Path) -> None:
-    """RAYGRID_SIMD=0 compiles every kernel for one ray after the other."""
-    pictures = []
-    for value in "10":
-        picture = tmp_path / f"{value}.npy"
-        arguments = ["render", "scenes/kinds.nff", "--array", "2x1x1", "--size", "24x20", "-o", str(picture)]
-        assert as_process(*arguments, environment={**os.environ, SIMD_SWITCH: value}).code == 0
-        pictures.append(picture.read_bytes())
-    assert pictures[0] == pictures[1]
