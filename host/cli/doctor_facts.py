@@ -196,7 +196,7 @@ def _path(what: str, why: str | None) -> FastPath:
 
 def _vectors() -> FastPath:
     """How wide the registers are in which eight rays are worked on at once."""
-    from raygrid.node.jit.switches import SIMD, why_off
+    from raygrid.node.jit import SIMD, why_off
     from raygrid.node.jit.target import read_target
 
     found = read_target()
