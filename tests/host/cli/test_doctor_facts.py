@@ -114,7 +114,7 @@ def test_the_width_of_vectors(monkeypatch, features, bits, on):
 
 
 def place(base: Path) -> Path:
-    return base / f"kernels-{cache._digest()}"
+    return base / f"kernels-{cache.digest()}"
 
 
 def shared(base: Path) -> Path:
@@ -150,7 +150,7 @@ BASES = {  # how it stands -> a base of that kind below a directory
 def test_the_place_is_the_one_that_the_next_run_takes(kind, tmp_path, monkeypatch):
     """Told before it is there and after; and looking makes nothing."""
     bases = [BASES[kind](tmp_path), tmp_path / "second"]
-    monkeypatch.setattr(cache, "_bases", lambda: iter(bases))
+    monkeypatch.setattr(cache, "bases", lambda: iter(bases))
     before = sorted(tmp_path.rglob("*"))
     expected = doctor_facts.read_cache()
     assert sorted(tmp_path.rglob("*")) == before
@@ -176,7 +176,7 @@ def test_a_cache_that_cannot_be_written(tmp_path, monkeypatch):
 
 
 def test_nowhere_to_keep_kernels(tmp_path, monkeypatch):
-    monkeypatch.setattr(cache, "_bases", lambda: iter([tmp_path / "one", tmp_path / "two"]))
+    monkeypatch.setattr(cache, "bases", lambda: iter([tmp_path / "one", tmp_path / "two"]))
     monkeypatch.setattr(os, "access", lambda *_arguments, **_options: False)
     found = doctor_facts.read_cache()
     assert found["directory"] is None
