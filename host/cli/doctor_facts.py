@@ -322,9 +322,7 @@ def read_limits() -> tuple[dict[str, LimitFacts], list[str]]:
 
 def read_places() -> LocationFacts:
     """Read where sockets and temporary files go, and where ffmpeg is."""
-    sockets: dict[str, str | None] = {}
     temporary = None
     with contextlib.suppress(FileNotFoundError):  # Python has tried, and found no directory that can be written
         temporary = tempfile.gettempdir()
-        sockets = why_not_usable(SMALL)
-    return {"sockets": sockets, "temporary": temporary, "ffmpeg": shutil.which("ffmpeg")}
+    return {"sockets": why_not_usable(SMALL), "temporary": temporary, "ffmpeg": shutil.which("ffmpeg")}

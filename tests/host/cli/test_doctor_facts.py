@@ -271,8 +271,10 @@ def test_no_temporary_directory_at_all(monkeypatch):
         raise FileNotFoundError("No usable temporary directory found")
 
     monkeypatch.setattr(tempfile, "gettempdir", none)
-    assert doctor_facts.read_places()["temporary"] is None
-    assert doctor_facts.read_places()["sockets"] == {}
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/nowhere")
+    found = doctor_facts.read_places()
+    assert found["temporary"] is None
+    assert list(found["sockets"]) == ["/nowhere", os.path.realpath("/tmp")]
 
 
 def test_without_ffmpeg(monkeypatch, tmp_path):
