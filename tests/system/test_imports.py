@@ -180,6 +180,13 @@ def test_what_is_listed_and_no_longer_so_is_seen(tmp_path):
         ("import raygrid.host.cli.main", {"numpy", "numba", "zmq", "trimesh", "pydantic", "PIL"}),
         ("import raygrid.host.cli.commands.render", {"numpy", "numba", "zmq", "trimesh", "pydantic", "PIL"}),
         ("import raygrid.emulator.processes.fork_server", {"raygrid.host", "trimesh", "pydantic", "PIL"}),
+        # the front end drives nodes, and traces no ray: the kernels of a node cost it a tenth of a short command
+        (
+            "import raygrid.host.render.frame, raygrid.host.render.session\n"
+            "from raygrid.emulator.driver import Driver\n"
+            "from raygrid.node.tracing import add_missed",
+            {"raygrid.node.tracing.step", "raygrid.node.runtime.event_loop", "raygrid.node.runtime.node_state"},
+        ),
     ],
 )
 def test_nothing_heavy_is_imported_unasked(program, absent):
