@@ -8,6 +8,7 @@ whose exponent is an integer.
 from __future__ import annotations
 
 import ast
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -37,11 +38,16 @@ def any_power(x, y):  # type: ignore[no-untyped-def]  # numba wants the same par
     return x**y
 
 
-@overload(any_power)
 def _typed(x, y):  # type: ignore[no-untyped-def]
     if isinstance(y, types.Integer | types.Boolean):
         return lambda x, y: x**y
     return lambda x, y: _signed(float(x), float(y))
+
+
+@cache
+def _make_known() -> None:
+    """Tell numba what `any_power` is compiled to: with the first program, since that takes 15 ms of every start."""
+    overload(any_power)(_typed)
 
 
 class _Powers(ast.NodeTransformer):
@@ -99,6 +105,7 @@ def with_safe_powers(source: str, space: dict[str, Any]) -> ast.Module:
     for node in ast.walk(tree):
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load) and node.id in powers:
             node.id = NAME
+    _make_known()
     space[NAME] = any_power
     _Powers(modules).visit(tree)
     return ast.fix_missing_locations(tree)

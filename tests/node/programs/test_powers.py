@@ -26,6 +26,7 @@ def _safe(x, y, found):
 
 
 def compiled(function, x, y):
+    with_safe_powers("", {})  # makes numba know the power
     found = np.empty(len(x))
     function(np.asarray(x), np.asarray(y), found)
     return found
