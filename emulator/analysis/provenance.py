@@ -259,13 +259,3 @@ def _vector(values: Iterable[float]) -> Vector:
 def _fixed(intensity: Vector) -> Units:
     red, green, blue = (int(min(value, MAX_INTENSITY) * UNIT + 0.5) for value in intensity)
     return red, green, blue
-
-
-def all_rays(root: Ray) -> list[Ray]:
-    """Every ray of a tree, parents before their children."""
-    found, waiting = [], [root]
-    while waiting:
-        ray = waiting.pop()
-        found.append(ray)
-        waiting += reversed(ray.children)
-    return found

@@ -25,7 +25,7 @@ from raygrid.node import geometry, protocol, remarks
 from raygrid.node.errors import ArrayError
 from raygrid.node.jit import cache
 from raygrid.node.links import find_functions
-from raygrid.node.runtime import profile
+from raygrid.node.runtime import profile, tiny_frame
 from raygrid.node.tracing import add_missed
 
 Report = Callable[[int, int, str], None]
@@ -89,15 +89,11 @@ def warm(report: Report) -> None:
     find_functions()
     with _helped(), told_of(report, NODES, KERNELS) as compilations:
         array = MemoryArray((2, 1, 1))
-        half = geometry.LATTICE // 2
-        space = geometry.make_space(
-            (2.0**-24, 2.0**-24, 2.0**-24), [[0, half, geometry.LATTICE], [0, geometry.LATTICE], [0, geometry.LATTICE]]
-        )
+        space = _two_cells()
         frame = tiny_frame()
         array.driver.ready()
-        moves = geometry.Moves(
-            geometry.make_groups(np.zeros(1, np.int64), np.zeros(1, np.int64), 1), geometry.at_rest(1)
-        )
+        groups = geometry.make_groups(np.zeros(1, np.int64), np.zeros(1, np.int64), 1)
+        moves = geometry.Moves(groups, geometry.at_rest(1))
         array.driver.load(space, _one_of_each(), moves)
         moved = moves.motions.copy()
         moved[0, geometry.MOTION_SHIFT] = 1e-3
@@ -106,13 +102,8 @@ def warm(report: Report) -> None:
         sums, _ = array.driver.collect(frame.width * frame.height)
         add_missed(frame, space.step, sums)
         if compilations.done or not is_cached():  # nodes do not need these, so they are not loaded for them
-            split(
-                "balanced",
-                (2, 1, 1),
-                geometry.World(np.zeros(3), 1.0, space.step),
-                _one_of_each(),
-                frame._replace(samples=1 << 18),
-            )
+            world, large = geometry.World(np.zeros(3), 1.0, space.step), frame._replace(samples=1 << 18)
+            split("balanced", (2, 1, 1), world, _one_of_each(), large)
             Collected(0, protocol.MAX_PIXEL_SAMPLES).take(bytes(protocol.HEAD), 0)
             profile.warm(array.processors[0].node_state)
     report(KERNELS, KERNELS, "ready")
@@ -123,15 +114,17 @@ def warm_timed(report: Report) -> None:
     warm(report)
     with _helped(), told_of(report, TIMED_NODES, TIMED_KERNELS):
         array = MemoryArray((2, 1, 1), timed=True)
-        half = geometry.LATTICE // 2
-        space = geometry.make_space(
-            (2.0**-24, 2.0**-24, 2.0**-24), [[0, half, geometry.LATTICE], [0, geometry.LATTICE], [0, geometry.LATTICE]]
-        )
         prices = protocol.Prices(np.ones(protocol.COUNTS, np.int64), 1, 1, 1, 0)
         array.driver.ready()
-        array.driver.load(space, _one_of_each())
+        array.driver.load(_two_cells(), _one_of_each())
         array.driver.trace(tiny_frame(), prices=protocol.prices_order(prices, np.zeros(len(geometry.Kind), np.int64)))
     report(KERNELS, KERNELS, "ready")
+
+
+def _two_cells() -> geometry.Space:
+    """Two cells beside each other along x."""
+    whole = [0, geometry.LATTICE]
+    return geometry.make_space((2.0**-24,) * 3, [[0, geometry.LATTICE // 2, geometry.LATTICE], whole, whole])
 
 
 def _one_of_each() -> geometry.SurfaceSet:
@@ -153,12 +146,3 @@ def _one_of_each() -> geometry.SurfaceSet:
         ids, materials = np.array([number], np.uint32), np.zeros(1, np.uint16)
         batches.append(geometry.Batch(kind, ids, materials, data.astype(geometry.STORED_AS[kind]), starts))
     return geometry.SurfaceSet(tuple(batches))
-
-
-def tiny_frame() -> protocol.Frame:
-    """A small frame with lights of both kinds."""
-    rows = ((0.0, 0.0, 2.0), (0.0,) * 3, (0.0,) * 3, (-0.2, 0.2, -1.0), (0.05, 0.0, 0.0), (0.0, -0.05, 0.0))
-    camera = np.array(rows)
-    materials, lights = np.full((1, protocol.MATERIAL_COLUMNS), 0.5), np.zeros((2, protocol.LIGHT_COLUMNS))
-    lights[0, :7], lights[1, :7] = (0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0), (1.0, 0.3, 0.3, 0.6, 1.0, 1.0, 1.0)
-    return protocol.Frame(camera, materials, lights, 2, (0.1, 0.1, 0.1), 8, 8, 1, 3, 0.0, False)

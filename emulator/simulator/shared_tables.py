@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from raygrid.emulator.simulator.kernels import relocate_leaves, touched_cells
 from raygrid.node.geometry import (
-    COUNT_SHIFT,
     HALF,
     KIND_SHIFT,
     LATTICE,
@@ -214,6 +213,3 @@ def _tables_of(kind: Kind, built: Surfaces) -> dict[str, Any]:
     }
     every = built._asdict()
     return {name: every[name] for name in names[kind]}
-
-
-assert COUNT_SHIFT == 28

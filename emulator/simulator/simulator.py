@@ -32,13 +32,7 @@ from raygrid.emulator.topology.limits import check_simulated_fits, read_memory
 from raygrid.node.errors import ArrayError, TooLarge
 from raygrid.node.geometry import DEPTH, Space, Surfaces, SurfaceSet
 from raygrid.node.protocol import BORN, COUNTS, DIED, KINDS, SIZE, Frame, Prices
-from raygrid.node.timed import (
-    CLOCK_RECORD,
-    RECORD_BYTES,
-    ServiceClock,
-    grown,
-    make_service_clock,
-)
+from raygrid.node.timed import CLOCK_RECORD, RECORD_BYTES, ServiceClock, grown, make_service_clock
 from raygrid.node.tracing import Pixels, make_outputs
 
 Long = NDArray[np.int64]
@@ -241,11 +235,3 @@ def _with_more_room(timed: ServiceClock) -> ServiceClock:
             f"{there.limit} leaves {max(there.left, 0) / 1e9:.1f} GB"
         )
     return grown(timed, room)
-
-
-def list_ticks_of(held: Long, tests: Long) -> Long:
-    """Ticks of testing every surface held, int64 (n,), from the price of a test of each kind, int64 (6,)."""
-    return np.asarray(held @ tests, np.int64)
-
-
-__all__ = ["Model", "Phase", "make_model", "read_out", "trace"]

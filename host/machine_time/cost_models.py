@@ -28,7 +28,6 @@ from raygrid.node.errors import CostError
 from raygrid.node.geometry import HOST, Kind
 
 LEVELS = ("low", "middle", "high")
-SEARCHES = ("list", "tree")
 MOST_TICKS = 10**12  # so that no sum of ticks leaves 64 bits
 LARGEST_FILE = 1 << 20  # bytes
 

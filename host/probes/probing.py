@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from types import TracebackType
 from typing import NamedTuple
 
 from raygrid.emulator.driver import NodeSample
@@ -91,8 +90,6 @@ class Probing:
     def __enter__(self) -> Probing:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         with contextlib.suppress(*() if error is None else (OutputError,)):  # what went wrong first is what is told
             self.close()

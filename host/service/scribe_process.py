@@ -21,7 +21,7 @@ import numpy as np
 
 from raygrid.emulator.processes import end_with_parent
 from raygrid.host.service import scribe_calls
-from raygrid.host.service.pickled_calls import Shared, pack, receiving
+from raygrid.host.service.pickled_calls import Shared, pack, receive
 from raygrid.host.service.scene_store import SceneStore, wanted_by
 from raygrid.host.service.scribe import SHARED
 from raygrid.host.text.error_text import told
@@ -159,8 +159,9 @@ def _for_the_array(ready: PreparedFrame) -> PreparedFrame:
 def _serve(stream: socket.socket, work: ScribeWork) -> None:
     """Do what is asked for until the service closes the socket."""
     shared = Shared(SHARED)
-    with stream.makefile("rb", buffering=0) as incoming:
-        while (call := _receive(incoming, shared)) is not None:
+    with contextlib.suppress(EOFError):
+        while True:
+            call: scribe_calls.AnyCall = receive(shared, stream.recv_into)
             try:
                 answer: scribe_calls.CallDone[object] | scribe_calls.CallFailed = scribe_calls.CallDone(work.do(call))
             except Exception as error:
@@ -168,23 +169,6 @@ def _serve(stream: socket.socket, work: ScribeWork) -> None:
             if not isinstance(call, scribe_calls.Unanswered):
                 for piece in pack(answer, shared):
                     stream.sendall(piece)
-
-
-def _receive(incoming: socket.SocketIO, shared: Shared) -> scribe_calls.AnyCall | None:
-    """The next call; None when there will be no more."""
-    message = receiving(shared)
-    room = next(message)
-    try:
-        while True:
-            while room:
-                count = incoming.readinto(room)
-                if not count:
-                    return None
-                room = room[count:]
-            room = next(message)
-    except StopIteration as end:
-        call: scribe_calls.AnyCall = end.value
-        return call
 
 
 def main() -> None:

@@ -193,9 +193,7 @@ class Worker(threading.Thread):
         if begun.ready is not None:
             picture = self._picture(task, begun.ready)
             self._tell(task, "write", 1.0, 0)
-            self._scribe.ask(
-                scribe_calls.FinishFrame(scribe_calls.Finished(picture.sums, picture.samples, picture.stats))
-            )
+            self._scribe.ask(scribe_calls.FinishFrame(scribe_calls.Finished.of(picture)))
             seconds = dict(picture.stats["wall_seconds"]) | {"whole": round(time.perf_counter() - began, 6)}
         played = self._play(task) if task.last else {}
         return events.FrameDone(task, begun.files, played, begun.ready is None, seconds)
@@ -204,9 +202,7 @@ class Worker(threading.Thread):
         """Write the files that hold all frames of a job, whose last is done; frames that have gone are rendered again."""
         for number in self._scribe.ask(scribe_calls.ListLacking()):
             picture = self._picture(task, self._scribe.ask(scribe_calls.PrepareAgain(number)))
-            self._scribe.ask(
-                scribe_calls.KeepFrame(number, scribe_calls.Finished(picture.sums, picture.samples, picture.stats))
-            )
+            self._scribe.ask(scribe_calls.KeepFrame(number, scribe_calls.Finished.of(picture)))
         return self._scribe.ask(scribe_calls.PlayFrames())
 
     def _picture(self, task: events.Task, ready: PreparedFrame) -> Picture:

@@ -19,4 +19,5 @@ from .reduction import SUM_WAITING as SUM_WAITING
 from .reduction import pack_request as pack_request
 from .reduction import read_reply as read_reply
 from .self_test import ready_program as ready_program
+from .self_test import tiny_frame as tiny_frame
 from .waves import read_sums as read_sums

@@ -346,10 +346,8 @@ class Processor:
         """What compiled code does not know of them, and the messages with data of these links."""
         sums = np.zeros(reduction.SUMS, np.int64)
         sums[reduction.SUM_RECEIVED], sums[reduction.HANDED_ON] = self.flood.received, self.flood.handed_on
-        sums[reduction.COLLECTING], sums[reduction.REFUSED] = (
-            self.node_state.collecting >= 0,
-            sum(self.refused.values()),
-        )
+        sums[reduction.COLLECTING] = self.node_state.collecting >= 0
+        sums[reduction.REFUSED] = sum(self.refused.values())
         sums[reduction.SUM_DATA_SENT] = sum(link.data_sent for link in links)
         sums[reduction.SUM_DATA_DONE] = sum(link.data_done for link in links)
         return sums

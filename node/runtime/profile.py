@@ -136,11 +136,11 @@ class Profile:
         node_state = self._processor.node_state
         first = max(0, held - PORTION)
 
+        packets, ports = work_queues.stacks[kind], work_queues.stacks[CLASSES + kind]
+
         def timed(end: int, what: int) -> float:
             begun = time.thread_time()
-            _again(
-                node_state, work_queues.stacks[kind], work_queues.stacks[CLASSES + kind], first, end, what, self._counts
-            )
+            _again(node_state, packets, ports, first, end, what, self._counts)
             return time.thread_time() - begun
 
         timed(first, DECODE)  # the way into compiled code is long, and cold the first time
@@ -158,18 +158,8 @@ class Profile:
         pixels = node_state.pixels._replace(samples=node_state.pixels.samples.copy())
         cursor = new_cursor(True)
         begun = time.thread_time()
-        self._spawned += spawn_primaries(
-            node_state.cell,
-            node_state.space,
-            node_state.frame,
-            pixels,
-            cursor,
-            self._scratch,
-            0,
-            SPAWNED,
-            node_state.outputs.seen,
-            self._counts,
-        )
+        where, seen = (node_state.cell, node_state.space, node_state.frame), node_state.outputs.seen
+        self._spawned += spawn_primaries(*where, pixels, cursor, self._scratch, 0, SPAWNED, seen, self._counts)
         self._sampled["birth"] += time.thread_time() - begun
 
     def record(self) -> NodeRecord:
