@@ -122,14 +122,8 @@ class ProgressReporter:
             self._print(f"compiling the kernels of {kind} ({which}), once on this computer: a minute")
             self.phase("", total)
         if self._bar is not None:
-            detail = f"{done} of {total}"
-            self._bar.update(
-                self._task,
-                completed=done,
-                total=total,
-                description=what.removesuffix(f" for {kind}")[:32],
-                detail=detail,
-            )
+            words = {"description": what.removesuffix(f" for {kind}")[:32], "detail": f"{done} of {total}"}
+            self._bar.update(self._task, completed=done, total=total, **words)
 
     def shot(self, frames: int) -> None:
         """What follows are so many frames of a shot, and the bar shows how much of them all is done; 0: no more."""

@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 from raygrid.host.client.facts import JobFacts
 from raygrid.host.client.requests import SubmitMessage, read_job
+from raygrid.host.journal.facts import row_facts
 from raygrid.host.journal.journal import Damaged, JobRow, Journal, Unwritable
 from raygrid.host.journal.repair import open_again
-from raygrid.host.service.job_facts import entry_facts, row_facts
+from raygrid.host.service.job_facts import entry_facts
 from raygrid.host.service.schedule import Entry, JobState, Schedule
 from raygrid.host.text.clean_text import printable
 from raygrid.node.errors import OutputError, ProtocolError, RaygridError
