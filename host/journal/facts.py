@@ -54,12 +54,23 @@ def journal_facts(path: Path, ended: int) -> list[JobFacts]:
 
 def _facts(row: Record) -> JobFacts:
     try:
-        return row_facts(read_row(row))
+        read = read_row(row)
+        _check(read.request)
+        return row_facts(read)
     except (ValueError, RecursionError) as wrong:
         job, client, _, submitted, begun, at_end, _, _, done, skipped = row
         client = client.decode(errors="backslashreplace") if isinstance(client, bytes) else str(client)
         why = f"the journal's row of it cannot be read: {wrong}"
         return row_facts(JobRow(job, client, {}, submitted, begun, at_end, UNREADABLE, why, done, skipped))
+
+
+def _check(request: Mapping[str, object]) -> None:
+    """Raise ValueError for what cannot have been submitted."""
+    frames, outputs = request.get("frames"), request.get("outputs")
+    if frames is not None and not (isinstance(frames, list) and [type(frame) for frame in frames] == [int, int]):
+        raise ValueError("its frames are none")
+    if not (isinstance(outputs, list) and all(isinstance(path, str) for path in [*outputs, request.get("scene")])):
+        raise ValueError("its paths are none")
 
 
 def row_facts(row: JobRow) -> JobFacts:
