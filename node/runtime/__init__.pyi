@@ -1,7 +1,6 @@
 from .increments import check_inside as check_inside
 from .increments import pieces as pieces
 from .memory_stats import proportional_memory as proportional_memory
-from .node_state import OUTPUT_ROOM as OUTPUT_ROOM
 from .node_state import NodeState as NodeState
 from .probe import ARRIVALS as ARRIVALS
 from .probe import read_rate as read_rate

@@ -1,6 +1,4 @@
 from .background import add_missed as add_missed
-from .batch import ADMIT_AT_ONCE as ADMIT_AT_ONCE
-from .batch import PORTION as PORTION
 from .camera import entry as entry
 from .camera import eye_ray as eye_ray
 from .camera import home as home
@@ -28,5 +26,3 @@ from .step import edge_colour as edge_colour
 from .traverse import FAREST as FAREST
 from .traverse import closest as closest
 from .traverse import for_boxes as for_boxes
-from .work_queues import BYTES_A_PACKET as BYTES_A_PACKET
-from .work_queues import FIRST_QUEUE_ROOM as FIRST_QUEUE_ROOM

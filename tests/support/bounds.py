@@ -18,24 +18,18 @@ from __future__ import annotations
 import numpy as np
 
 from raygrid.emulator.topology.bounds import growth_of
-from raygrid.node.geometry import (
-    CONE_COLUMNS,
-    NODE_WORDS,
-    OUTPUTS,
-    OWN_COLUMNS,
-    PLANE_COLUMNS,
-    POLY_COLUMNS,
-    STORED_AS,
-    STRIDE,
-    SURFACE_KINDS,
-    AddedKind,
-    AnyKind,
-    Kind,
-)
-from raygrid.node.links import MESSAGE_OVERHEAD
-from raygrid.node.protocol import HEAD, SIZE, Frame
-from raygrid.node.runtime import OUTPUT_ROOM
-from raygrid.node.tracing import ADMIT_AT_ONCE, BYTES_A_PACKET, FIRST_QUEUE_ROOM, PORTION
+from raygrid.node.geometry.bvh import NODE_WORDS
+from raygrid.node.geometry.grid_walk import OUTPUTS
+from raygrid.node.geometry.intersect import CONE_COLUMNS, PLANE_COLUMNS, POLY_COLUMNS
+from raygrid.node.geometry.surface_tables import OWN_COLUMNS
+from raygrid.node.geometry.surfaces import STORED_AS, STRIDE, SURFACE_KINDS, AddedKind, AnyKind, Kind
+from raygrid.node.links.link import MESSAGE_OVERHEAD
+from raygrid.node.protocol.frame_tables import Frame
+from raygrid.node.protocol.messages import HEAD
+from raygrid.node.protocol.packets import SIZE
+from raygrid.node.runtime.node_state import OUTPUT_ROOM
+from raygrid.node.tracing.batch import ADMIT_AT_ONCE, PORTION
+from raygrid.node.tracing.work_queues import BYTES_A_PACKET, FIRST_QUEUE_ROOM
 
 WORD = 8  # bytes of a float64 or int64
 NAMED = 4 + 2  # bytes of a surface's id and material
