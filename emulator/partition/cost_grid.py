@@ -27,10 +27,9 @@ from numpy.typing import NDArray
 
 from raygrid.emulator.partition.kernels import search_planes, walk_rays
 from raygrid.emulator.partition.sampling_prepass import SamplingPrepass
-from raygrid.node.geometry import DEPTH, LATTICE, Space
+from raygrid.node.geometry import DEPTH, F64, LATTICE, Space
 from raygrid.node.jit import is_on_disk
 
-F64 = NDArray[np.float64]
 # The largest cell is approached by norms of order 2^n: a low order sees all cells, a high one the largest only.
 ORDERS = (2, 3, 6)
 

@@ -18,7 +18,6 @@ from raygrid.node import geometry, tracing
 from raygrid.node.protocol import COUNTS, HEAD, SIZE, Frame
 from raygrid.node.tracing.step import step
 
-F64 = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 ACROSS = 48  # rays of the pre-pass along a side of the picture
 MOST_RAYS = 200_000  # rays followed, whatever lights and mirrors there are
@@ -38,7 +37,7 @@ class PrepassRays(NamedTuple):
 
     origins: NDArray[np.int64]
     homes: NDArray[np.int64]
-    facts: F64
+    facts: geometry.F64
 
 
 class SamplingPrepass(NamedTuple):
@@ -52,7 +51,7 @@ class SamplingPrepass(NamedTuple):
 
     rays: PrepassRays
     surfaces: geometry.Surfaces
-    boxes: F64
+    boxes: geometry.F64
     each: float
     step: tuple[float, float, float]
     share: float
@@ -109,7 +108,7 @@ def _sizes(batch: geometry.Batch) -> NDArray[np.floating]:
     data = batch.data
     if batch.kind not in (geometry.Kind.TRIANGLE, geometry.Kind.SMOOTH):
         boxes = batch.bounds()
-        edges: F64 = (boxes[:, 1] - boxes[:, 0]).max(axis=1)
+        edges: geometry.F64 = (boxes[:, 1] - boxes[:, 0]).max(axis=1)
         return edges
     size = np.zeros(len(data), data.dtype)
     for column in range(3, 9):

@@ -11,16 +11,14 @@ from raygrid.host.files.input_guard import check_outputs
 from raygrid.host.image.outputs import check_named
 from raygrid.host.probes.chrome_trace import ChromeTrace
 from raygrid.host.probes.record import ProbeRecord
-from raygrid.host.probes.sums import Gauges, NodeFigures
+from raygrid.host.probes.sums import Gauges, NodeFigures, Shape
 from raygrid.node.errors import OutputError
-
-Shape = tuple[int, int, int]
 
 
 class Feed(NamedTuple):
     """Samples of an array, as they come; None now and then where none came for a while."""
 
-    shape: tuple[int, int, int]
+    shape: Shape
     rate: float
     samples: Iterator[NodeSample | None]
 

@@ -118,7 +118,7 @@ class ArrayService:
                     self._home.keep_record(self._record)
             except (OSError, ArrayError) as error:
                 print(f"the door cannot be made anew: {error}", file=sys.stderr, flush=True)
-            self.jobs.look_after()
+            self.jobs.flush()
 
     async def _keep_listening(self) -> None:
         """Let clients come, wherever that can be. Raises OSError, ArrayError."""
