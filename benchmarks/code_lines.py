@@ -5,7 +5,7 @@
     python benchmarks/code_lines.py --files          a line for each module, too
 
 A line counts once however much stands on it, so long lines would hide code: `ruff format` holds them all to one length, and
-the last column says how long they are in the mean. Stubs (.pyi) count as code does.
+the last column says how long they are in the mean. Stubs (.pyi) count as code does, and are told once more by themselves.
 """
 
 from __future__ import annotations
@@ -62,12 +62,13 @@ def sources(commit: str | None) -> Iterator[tuple[str, str]]:
 
 
 def measure(modules: Iterator[tuple[str, str]], by_file: bool) -> Sizes:
-    """Sizes of the layers, of the packages in them, and of the modules if they are wanted; then of all."""
+    """Sizes of the layers, of the packages in them, and of the modules if they are wanted; then of all, and of stubs."""
     sizes: Sizes = {}
     for name, source in modules:
         lines, characters = code_lines(source)
         above = [str(folder) for folder in PurePosixPath(name).parents if folder.name]
-        for key in (*above, *([name] if by_file else []), "~all"):
+        stub = ["~of these stubs"] if name.endswith(".pyi") else []
+        for key in (*above, *([name] if by_file else []), "~all", *stub):
             before = sizes.get(key, (0, 0))
             sizes[key] = before[0] + lines, before[1] + characters
     return sizes
