@@ -14,7 +14,6 @@ import contextlib
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from numba.core import event
 
 from raygrid.emulator.driver.collector import Collected
 from raygrid.emulator.driver.memory_array import MemoryArray
@@ -23,7 +22,7 @@ from raygrid.emulator.partition.split import split
 from raygrid.emulator.processes.kernel_kinds import NODES, NOTE, TIMED_NODES, compiling
 from raygrid.node import geometry, protocol, remarks
 from raygrid.node.errors import ArrayError
-from raygrid.node.jit import cache
+from raygrid.node.jit import cache, compiling_heard_by
 from raygrid.node.links import find_functions
 from raygrid.node.runtime import profile, tiny_frame
 from raygrid.node.tracing import add_missed
@@ -35,8 +34,8 @@ Report = Callable[[int, int, str], None]
 KERNELS, TIMED_KERNELS = 338, 24
 
 
-class Compilations(event.Listener):
-    """Reports every function that numba has compiled and not found in its cache.
+class Compilations:
+    """Reports every function that was compiled and not found in the cache.
 
     done  how many
     """
@@ -45,13 +44,9 @@ class Compilations(event.Listener):
         self._report, self._kind, self._expected = report, kind, expected
         self.done = 0
 
-    def on_start(self, event: event.Event) -> None:
-        """Nothing is done yet."""
-
-    def on_end(self, event: event.Event) -> None:
+    def ends(self, function: Callable[..., object]) -> None:
         """One more."""
         self.done += 1
-        function = event.data["dispatcher"].py_func
         name = function.__name__.strip("_") if function.__module__.startswith("raygrid.") else "parts of numba"
         self._report(self.done, max(self._expected, self.done + 1), compiling(name, self._kind))
 
@@ -64,7 +59,7 @@ def told_of(report: Report, kind: str, expected: int) -> Iterator[Compilations]:
     def note(text: str) -> None:
         report(compilations.done, expected, NOTE + text)
 
-    with event.install_listener("numba:compile", compilations), remarks.heard_by(note):
+    with compiling_heard_by(ends=compilations.ends), remarks.heard_by(note):
         yield compilations
 
 
@@ -86,8 +81,8 @@ def warm(report: Report) -> None:
     Raises ArrayError.
     """
     report(0, KERNELS, "loading kernels")
-    find_functions()
     with _helped(), told_of(report, NODES, KERNELS) as compilations:
+        find_functions()
         array = MemoryArray((2, 1, 1))
         space = _two_cells()
         frame = tiny_frame()

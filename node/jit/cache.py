@@ -26,9 +26,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import llvmlite
+import numba
 from numba.core import config as _config
 from xxhash import xxh3_128_digest
 
+from raygrid.node.jit.switches import code_state
 from raygrid.node.jit.trusted_files import why_not_file, why_not_trusted
 from raygrid.node.remarks import remark
 
@@ -56,11 +59,13 @@ class Keeping(NamedTuple):
 
 
 def _digest() -> str:
-    """Digest of the sources of a processor, of all its packages, and of the settings of numba that change what is compiled."""
+    """Digest of the sources of a processor, of all its packages, and of what compiles them: numba, llvmlite, and the settings,
+    theirs and ours, that change what is compiled."""
     state = hashlib.sha256()
     for source in sorted(_SOURCES.rglob("*.py")):
         state.update(str(source.relative_to(_SOURCES)).encode() + b"\0" + source.read_bytes())
-    state.update(repr([getattr(config, name, None) for name in _SETTINGS]).encode())
+    libraries = [numba.__version__, llvmlite.__version__]
+    state.update(repr([*libraries, *(getattr(config, name, None) for name in _SETTINGS), *code_state()]).encode())
     return state.hexdigest()[:16]
 
 

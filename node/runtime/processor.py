@@ -25,6 +25,7 @@ from raygrid.node.runtime import reduction
 from raygrid.node.runtime.event_loop import BACK_OFFS
 from raygrid.node.runtime.native_link_table import NativeLinkTable
 from raygrid.node.runtime.node_state import NodeState
+from raygrid.node.runtime.profile import Profile, counted_as
 from raygrid.node.runtime.reduction_replies import Reductions
 from raygrid.node.runtime.report import NodeRecord, record_of
 from raygrid.node.runtime.self_test import ready_program
@@ -42,6 +43,7 @@ class Processor:
     batch     most packets a message
     clock     seconds, for the time that a wave is held
     programs  whether it takes programs
+    profile   whether it says where its time goes
     """
 
     def __init__(
@@ -52,9 +54,11 @@ class Processor:
         batch: int,
         clock: Callable[[], float] = time.monotonic,
         programs: bool = False,
+        profile: bool = False,
     ) -> None:
         self.index, self.shape, self.links, self.batch, self.clock = index, shape, links, batch, clock
         self.node_state = NodeState(index, shape)
+        self.profile = Profile(self.node_state) if profile else None
         self.ended = False
         parent = tree_parent(index)
         self._parent = HOST if parent is None else parent
@@ -74,6 +78,7 @@ class Processor:
 
     # --- the thin loop's three calls ---------------------------------------------------------------
 
+    @counted_as("receive")
     def receive(self, port: int) -> None:
         """Take in what a link has. Raises ProtocolError if the link itself is broken."""
         link = self.links[port]
@@ -138,7 +143,7 @@ class Processor:
     def _work_on_packets(self, wait: bool) -> int:
         """What a program raises is refused, with the packets that it was working on. Returns why work ended."""
         try:
-            return self.node_state.work(wait)
+            return self.node_state.work(wait) if self.profile is None else self.profile.work(wait)
         except Exception as error:
             if self.node_state.program is None:
                 raise
@@ -197,6 +202,7 @@ class Processor:
             why = f"node {','.join(map(str, self.index))}: for many other reasons"
         self.refused[why] += 1
 
+    @counted_as("send")
     def _flush(self) -> None:
         """Send the outputs that are full enough, all of them when there is nothing else to do."""
         outputs = self.node_state.outputs
@@ -283,6 +289,8 @@ class Processor:
     def _set_frame(self, order: commands.CommandMap) -> None:
         self.cpu_at_frame = time.process_time()
         self.node_state.set_frame(commands.read_frame(order))
+        if self.profile is not None:
+            self.profile.begin_frame()
         for link in self.links.values():
             link.forget_peaks()
         self.node_state.halted = False
@@ -371,4 +379,5 @@ class Processor:
 
     def record(self) -> NodeRecord:
         """What this node says of itself, JSON-able."""
-        return record_of(self.node_state, self.links, self.served_by, self.cpu_at_frame)
+        record = record_of(self.node_state, self.links, self.served_by, self.cpu_at_frame)
+        return record if self.profile is None else record | {"profile": self.profile.seconds()}

@@ -23,6 +23,4 @@ from .shading import normals as normals
 from .shading import place as place
 from .shading import refract as refract
 from .step import edge_colour as edge_colour
-from .traverse import FAREST as FAREST
 from .traverse import closest as closest
-from .traverse import for_boxes as for_boxes

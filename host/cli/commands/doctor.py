@@ -83,7 +83,7 @@ def examine() -> DoctorFacts:
         "extras": doctor_facts.read_extras(),
         "environment": doctor_facts.read_environment(),
         "problems": problems,
-        "advice": [*_slow(paths), *_not_kept(cache)],
+        "advice": [*_untried(versions), *_slow(paths), *_not_kept(cache)],
     }
 
 
@@ -96,6 +96,13 @@ def _stops(paths: dict[str, FastPath] | None, places: LocationFacts) -> Iterator
     elif None not in places["sockets"].values():
         tried = ", ".join(f"{base} ({why})" for base, why in places["sockets"].items())
         yield f"no directory for sockets ({tried}): set XDG_RUNTIME_DIR to one that is short, and yours alone"
+
+
+def _untried(versions: dict[str, str | None]) -> Iterator[str]:
+    """Which libraries are older or newer than those that raygrid was tried with, and what helps."""
+    for name, wanted in doctor_facts.read_misfits().items():
+        have = versions.get(name) or "another version"
+        yield f"{name}: {have}, with which this raygrid was not tried: pip install '{name}{wanted}'"
 
 
 def _slow(paths: dict[str, FastPath] | None) -> Iterator[str]:

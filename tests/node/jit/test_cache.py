@@ -21,6 +21,8 @@ from raygrid.node.jit import cache
 from raygrid.node.jit.cache import SEALED, read_sealed, write_sealed
 from raygrid.node.jit.trusted_files import why_not_trusted
 
+pytestmark = pytest.mark.usefixtures("fast_paths_on")
+
 OURS = ["double", "doubled", "total"]
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files away")
 
