@@ -3,6 +3,12 @@ from .event_loop import SERVICES as SERVICES
 from .event_loop import WAITS as WAITS
 from .flood_time import Flooded as Flooded
 from .flood_time import flood as flood
+from .pilot import Holding as Holding
+from .pilot import Pilot as Pilot
+from .pilot import check_pilot_fits as check_pilot_fits
+from .pilot import count_pilot as count_pilot
+from .pilot import hold as hold
+from .pilot import price_lists as price_lists
 from .shared_tables import ordered as ordered
 from .simulator import Model as Model
 from .simulator import Phase as Phase
