@@ -1,4 +1,4 @@
-"""Declares the commands of machine time: simulate and law."""
+"""Declares the commands of machine time: simulate, predict and law."""
 
 from __future__ import annotations
 
@@ -28,6 +28,15 @@ Examples:
 
 Machine seconds are those of the machine that the cost model describes. docs/machine-time.md says how time is counted,
 docs/costs.md what the cost models mean and where they come from.
+"""
+PREDICT_EXAMPLES = """\b
+Examples:
+  raygrid predict scenes/room.glb --array 10x10x10 --cost 8086
+  raygrid predict tetra_6.nff --array 10x10x10 --array 32x1x32 --array 50x50x50 \\
+      --size 1000x1000 --cost t800
+  raygrid predict scenes/kinds.nff --array 4x4x4 --cost mine.toml --json
+
+docs/predict.md says how the times are told, what the errors mean, and how often they hold.
 """
 LAW_EXAMPLES = """\b
 Examples:
@@ -84,6 +93,38 @@ def simulate(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], 
     run_simulate(SimulateRequest(scene, shape, outputs=outputs, **chosen, settings=options))
 
 
+@click.command(short_help="Predict the machine time of a frame on any arrays, in seconds.", epilog=PREDICT_EXAMPLES)
+@click.argument("scene")
+@click.option("--array", "shapes", type=ShapeType(), multiple=True, metavar="NXxNYxNZ",
+              help="Processors on each axis; may be repeated, with a row for each.  [default: 2x2x2]")
+@click.option("--cost", default="8086", show_default=True, metavar="MODEL", help="As for simulate.")
+@click.option("--search", type=click.Choice(["list", "tree"]), help="As for simulate.")
+@click.option("--size", type=PairType(), metavar="WxH", help="As for render.")
+@click.option("--samples", type=NumberType(1, MAX_SAMPLES), metavar="N", help="As for render.")
+@click.option("--depth", type=NumberType(1, MAX_DEPTH), metavar="N", help="As for render.")
+@click.option("--min-weight", type=NumberType(0.0, MAX_WEIGHT), metavar="WEIGHT", help="As for render.")
+@click.option("--split", type=click.Choice(["balanced", "uniform"]), default="balanced", show_default=True,
+              help="As for render.")
+@click.option("--frame", type=NumberType(1, MAX_FRAMES), metavar="N", help="The frame of a shot.  [default: 1]")
+@click.option("--json", "as_json", is_flag=True, help="As JSON.")
+@click.option("-q", "--quiet", is_flag=True, help="No talk but errors and results.")
+@outside_option
+@debug_option
+def predict(scene: str, shapes: tuple[tuple[int, int, int], ...], **options: Any) -> None:
+    """Predict how long a frame, its set-up and its read-out would take on each array, and what that may be off by.
+
+    Pictures with few pixels are counted and simulated; the work of the busiest processor makes the rest of them. Takes about
+    two seconds, however many pixels the frame has. Arrays of which few rays meet a processor are told with larger errors.
+
+    SCENE is a file of one of these kinds: .nff .obj .ply .stl .glb .gltf .toml
+    """
+    from raygrid.host.cli.commands.predict import PredictRequest, run_predict
+
+    names = ("cost", "search", "as_json", "quiet", "frame")
+    chosen = {name: options.pop(name) for name in names}
+    run_predict(PredictRequest(scene, shapes or ((2, 2, 2),), **chosen, settings=options))
+
+
 @click.command(short_help="Fit the law of 1983, T = A + B n + C R / n^2, to simulations.", epilog=LAW_EXAMPLES)
 @click.argument("scenes", nargs=-1, required=True)
 @click.option("--cost", default="8086", show_default=True, metavar="MODEL", help="As for simulate.")
@@ -124,5 +165,5 @@ def law(scenes: tuple[str, ...], folder: str, **options: Any) -> None:
 
 def add_commands(group: click.Group) -> None:
     """Add them to a group."""
-    for command in (simulate, law):
+    for command in (simulate, predict, law):
         group.add_command(command)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from raygrid.host.client.client import Result, Service, Submitted, connect
+    from raygrid.host.machine_time.predict import Prediction, predict
     from raygrid.host.render.api import Machine, Picture, Scene, launch, load_scene
     from raygrid.node.errors import ArrayError, OutputError, RaygridError, SceneError
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "raygrid.host.client.client": ("Result", "Service", "Submitted", "connect"),
+    "raygrid.host.machine_time.predict": ("Prediction", "predict"),
     "raygrid.host.render.api": ("Machine", "Picture", "Scene", "launch", "load_scene"),
     "raygrid.node.errors": ("ArrayError", "OutputError", "RaygridError", "SceneError"),
 }
@@ -33,6 +35,7 @@ __all__ = [
     "Machine",
     "OutputError",
     "Picture",
+    "Prediction",
     "RaygridError",
     "Result",
     "Scene",
@@ -42,6 +45,7 @@ __all__ = [
     "connect",
     "launch",
     "load_scene",
+    "predict",
 ]
 
 

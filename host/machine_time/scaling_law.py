@@ -102,8 +102,8 @@ def law(power: float, n: ArrayLike, rays: ArrayLike) -> F64:
     return np.stack((np.ones_like(size), size, count / size**power), axis=-1)
 
 
-class _Solved(NamedTuple):
-    """values (3,), none below 0; residuals log(T / fit) (points,); slopes: d log(fit) / d values (points, 3)."""
+class Solved(NamedTuple):
+    """values (terms,), none below 0; residuals log(T / fit) (points,); slopes: d log(fit) / d values (points, terms)."""
 
     values: F64
     residuals: F64
@@ -115,16 +115,22 @@ class _Solved(NamedTuple):
         return float(self.residuals @ self.residuals)
 
 
-def _solved(points: Sequence[Point], power: float) -> _Solved:
+def _solved(points: Sequence[Point], power: float) -> Solved:
     """Least squares of log(T / fit) with no value below 0. (Other starts than the middle were tried: all end at one place.)"""
     times = np.array([point.seconds for point in points])
-    over = law(power, [point.n for point in points], [point.rays for point in points]) / times[:, None]
+    return least_squares_of_logs(
+        law(power, [point.n for point in points], [point.rays for point in points]) / times[:, None]
+    )
+
+
+def least_squares_of_logs(over: F64) -> Solved:
+    """The values of 0 or more for which log(over @ values) has the least squares; over: terms by T, float64 (points, terms)."""
     over_size = np.exp(np.log(over).mean(axis=0))  # so that each term alone goes through the middle of the points
-    values, residuals, slopes = _descended(over / over_size, np.ones(3) / 3.0)
-    return _Solved(values / over_size, residuals, slopes * over_size)
+    values, residuals, slopes = _descended(over / over_size, np.full(over.shape[1], 1.0 / over.shape[1]))
+    return Solved(values / over_size, residuals, slopes * over_size)
 
 
-def _descended(over: F64, values: F64) -> _Solved:
+def _descended(over: F64, values: F64) -> Solved:
     """The least squares of log(over @ values) near a start: Gauss and Newton's steps, each by linear least squares.
 
     A step solves the problem made linear for values of 0 or more, and so finds those that are 0 exactly; it is halved
@@ -132,9 +138,9 @@ def _descended(over: F64, values: F64) -> _Solved:
     """
     from scipy.optimize import nnls
 
-    def at(values: F64) -> _Solved:
+    def at(values: F64) -> Solved:
         fitted = np.maximum(over @ values, LEAST_FITTED)
-        return _Solved(values, -np.log(fitted), over / fitted[:, None])
+        return Solved(values, -np.log(fitted), over / fitted[:, None])
 
     here = at(values)
     for _ in range(STEPS):

@@ -12,7 +12,9 @@ import numpy as np
 
 from raygrid.host.image.outputs import write_whole
 from raygrid.host.machine_time.cost_models import CostModel
-from raygrid.host.machine_time.plots import pyplot, save_figure
+from raygrid.host.machine_time.law_rivals import rivals_of
+from raygrid.host.machine_time.law_rivals_report import PLOT, rival_rows, rivals_figure
+from raygrid.host.machine_time.plots import new_figure, save_figure
 from raygrid.host.machine_time.scaling_law import CONFIDENCE, KINDS, Fit, Point, law
 
 if TYPE_CHECKING:
@@ -24,19 +26,21 @@ Fits = dict[tuple[str, str], Fit]
 
 
 def report_paths(folder: str, scenes: Sequence[str]) -> list[str]:
-    """The files of a report: the table, the text and a plot for each scene."""
-    names = ["law.csv", "law.md", *(f"law_{Path(scene).stem}.png" for scene in dict.fromkeys(scenes))]
+    """The files of a report: the table, the text, a plot of the laws side by side, and one for each scene."""
+    names = ["law.csv", "law.md", PLOT, *(f"law_{Path(scene).stem}.png" for scene in dict.fromkeys(scenes))]
     return [str(Path(folder) / name) for name in names]
 
 
 def write_report(folder: str, points: Sequence[Point], fits: Fits, cost: CostModel, command: str) -> list[str]:
-    """Write law.csv, law.md and a plot for each scene; returns their paths. Raises OutputError."""
+    """Write law.csv, law.md and the plots; returns their paths. Raises OutputError."""
     scenes = list(dict.fromkeys(point.scene for point in points))
     paths = report_paths(folder, scenes)
     write_whole(paths[0], lambda file: file.writelines([_table(points, fits).encode()]))
-    for scene, path in zip(scenes, paths[2:], strict=True):
+    rivals = rivals_of(points)
+    save_figure(rivals_figure(rivals), paths[2])
+    for scene, path in zip(scenes, paths[3:], strict=True):
         save_figure(_figure(scene, {kind: fits[s, kind] for s, kind in fits if s == scene}), path)
-    text = "\n".join(_report(scenes, points, fits, cost, command)) + "\n"
+    text = "\n".join(_report(scenes, points, fits, cost, command, rival_rows(rivals, len(scenes)))) + "\n"
     write_whole(paths[1], lambda file: file.writelines([text.encode()]))
     return paths
 
@@ -52,7 +56,9 @@ def _table(points: Sequence[Point], fits: Fits) -> str:
     return text.getvalue()
 
 
-def _report(scenes: list[str], points: Sequence[Point], fits: Fits, cost: CostModel, command: str) -> list[str]:
+def _report(
+    scenes: list[str], points: Sequence[Point], fits: Fits, cost: CostModel, command: str, rivals: list[str]
+) -> list[str]:
     rows = [
         "# The law",
         "",
@@ -65,7 +71,9 @@ def _report(scenes: list[str], points: Sequence[Point], fits: Fits, cost: CostMo
         "worst; `above`: how many frames took longer than the law has it. The free power is that of n in the third term if it",
         "is fitted, too: what the frames would rather have instead of 2 or 3.",
         "",
-        "## Fits",
+        *rivals,
+        "",
+        "## The law of 1983, scene by scene",
         "",
         "| scene | law | A, s | B, s | C, s a ray | R^2 of log T | off by: middle, worst | above | free power of n | frames |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
@@ -154,9 +162,7 @@ def _efficiency(point: Point, points: Sequence[Point]) -> str:
 
 def _figure(scene: str, fits: dict[str, Fit]) -> Figure:
     """T against n with the fit; its three terms; square against cubic and efficiency over processors."""
-    plt = pyplot()
-    figure: Figure
-    figure, axes = plt.subplots(2, 2, figsize=(11, 8), layout="constrained")
+    figure, axes = new_figure(2, 2, figsize=(11, 8))
     for kind, found in fits.items():
         ns = np.geomspace(1, max(p.n for p in found.points), 200)
         axis = axes[0, 0 if kind == "square" else 1]

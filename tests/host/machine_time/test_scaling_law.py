@@ -13,7 +13,7 @@ from support.render import SCENES
 from support.timed import job_of, scene_of, simulated
 
 from raygrid.host.machine_time.cost_models import load_cost_model
-from raygrid.host.machine_time.plots import pyplot
+from raygrid.host.machine_time.plots import check_matplotlib
 from raygrid.host.machine_time.scaling_law import KINDS, Point, fit, law, shape_of, sweep, view_axis
 from raygrid.node.errors import OutputError
 
@@ -143,7 +143,7 @@ def test_command(tmp_path):
     arguments = ["--square", "1,2,3", "--cubic", "1,2,3", "--size", "10x8", "--size", "16x12", "--cost", "unit"]
     done = here("law", str(SCENES / "tiny.nff"), *arguments, "-o", str(tmp_path / "law"))
     assert done.code == 0, done.err
-    names = ["law.csv", "law.md", "law_tiny.png"]
+    names = ["law.csv", "law.md", "law_rivals.png", "law_tiny.png"]
     assert done.out.split() == [str(tmp_path / "law" / name) for name in names]
     rows = list(csv.DictReader((tmp_path / "law" / "law.csv").read_text().splitlines()))
     assert len(rows) == 12
@@ -157,9 +157,9 @@ def test_command(tmp_path):
 def test_without_matplotlib_the_law_names_all_that_it_wants(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(OutputError, match=r"pip install matplotlib scipy$"):
-        pyplot("scipy")
+        check_matplotlib("scipy")
     with pytest.raises(OutputError, match=r"pip install matplotlib$"):
-        pyplot()
+        check_matplotlib()
 
 
 def test_bad_edges_and_folders_are_one_line(tmp_path):

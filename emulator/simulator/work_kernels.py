@@ -1,4 +1,4 @@
-"""Counts what the rays of a pilot cost each cell of an array, packet after packet and without queues: compiled.
+"""Counts what the rays of a small picture cost each cell of an array, packet after packet and without queues: compiled.
 
 The ray step is that of the nodes, and so are the counts and their prices, so the work of a cell is what a node would do. What
 is left out is waiting: a packet is followed to its end before the next one, last in, first out, so that few are kept, and
@@ -24,8 +24,9 @@ from raygrid.node.tracing.step import step_one
 
 Long = NDArray[np.int64]
 
-GROUPS = 4  # of samples, by the parity of their row and column: four coarser pilots in one
-CELL, PORT, TICKS = 0, 1, 2  # columns of PilotStack.facts; from TICKS on one for each price list
+APART = 4  # pixels of one group lie so far apart along rows and columns
+GROUPS = APART * APART  # of samples: so many coarser pictures in one
+CELL, PORT, TICKS = 0, 1, 2  # columns of PacketStack.facts; from TICKS on one for each price list
 
 
 class PriceLists(NamedTuple):
@@ -43,15 +44,15 @@ class PriceLists(NamedTuple):
     walks: Long
 
 
-class PilotStack(NamedTuple):
+class PacketStack(NamedTuple):
     """Packets that are still to be followed: uint8 (room * SIZE,), and int64 (room, TICKS + lists)."""
 
     packets: NDArray[np.uint8]
     facts: Long
 
 
-class PilotWork(NamedTuple):
-    """What the pilot found.
+class WorkSums(NamedTuple):
+    """What was found.
 
     busy     int64 (cells, GROUPS, lists): ticks of work
     sent     int64 (cells, PORTS): packets
@@ -136,7 +137,7 @@ def follow_samples(homes, space, frame, surfaces, roots, pixels, outputs, stack,
         pixel = sample // frame.samples
         j = pixel // frame.width
         i = pixel - j * frame.width
-        group = (i & 1) + 2 * (j & 1)
+        group = (i & (APART - 1)) + APART * (j & (APART - 1))
         made = spawn_sample(
             cell_of(space, home), space, frame, pixels, i, j, pixel, sample - pixel * frame.samples,
             stack.packets, outputs.seen,
