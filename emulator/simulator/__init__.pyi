@@ -9,6 +9,7 @@ from .simulator import Phase as Phase
 from .simulator import make_model as make_model
 from .simulator import read_out as read_out
 from .simulator import trace as trace
+from .work_count import LEAST_ACROSS as LEAST_ACROSS
 from .work_count import CellWork as CellWork
 from .work_count import Holding as Holding
 from .work_count import check_count_fits as check_count_fits

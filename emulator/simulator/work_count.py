@@ -119,11 +119,14 @@ def steps_of_a_sample(holding: Holding, frame: Frame, prices: PriceLists) -> flo
     return max(found.steps / found.samples, 0.01)
 
 
-def few_pixels(frame: Frame, samples: float) -> Frame:
-    """The same view with about so many pixels of a sample each; the frame itself if it has no more samples than that."""
+def few_pixels(frame: Frame, samples: float, least: int = LEAST_ACROSS) -> Frame:
+    """The same view with about so many pixels of a sample each; the frame itself if it has no more samples than that.
+
+    least   pixels along a side that there are at least, if the frame has them
+    """
     if frame.width * frame.height * frame.samples <= samples:
         return frame
-    return coarse_frame(frame, int(min(max(samples**0.5, LEAST_ACROSS), MOST_ACROSS)))
+    return coarse_frame(frame, int(min(max(samples**0.5, least), MOST_ACROSS)))
 
 
 def count_cell_work(holding: Holding, frame: Frame, prices: PriceLists, samples: float) -> CellWork:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.emulator.simulator import (
+    LEAST_ACROSS,
     CellWork,
     Holding,
     check_count_fits,
@@ -228,8 +229,11 @@ class _Picture(NamedTuple):
 def _simulated(job: Job, holding: Holding, priced: tuple[Prices, Long], samples: float) -> list[_Picture]:
     """Simulate the smaller and the larger picture; the frame itself, and no other, if it is no larger."""
     every, found = job.pixels * job.frame.samples, []
-    for count in (samples,) if samples >= every else (samples / SMALLER, samples):
-        few = few_pixels(job.frame, count)
+    sides = ((samples, LEAST_ACROSS),)
+    if samples < every:
+        sides = ((samples / SMALLER, LEAST_ACROSS // 2), *sides)
+    for count, least in sides:
+        few = few_pixels(job.frame, count, least)
         model = holding.model(few)
         phase, pixels = trace(model, *priced)
         out = read_out(model, priced[0], pixels).host
