@@ -7,6 +7,7 @@ Several price lists that look for hits in the same way are summed at once.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -104,7 +105,7 @@ def hold(space: Space, surfaces: SurfaceSet, search: str) -> Holding:
 
 
 def price_lists(prices: Sequence[Prices], walks: Sequence[Long]) -> PriceLists:
-    """Gather price lists; walks: of each, what a walk costs in each cell beside its price, int64 (cells,)."""
+    """Put price lists together; walks: of each, what a walk costs in each cell beside its price, int64 (cells,)."""
     packet, transmit, latency, by_processor = (
         np.array([getattr(one, name) for one in prices], np.int64)
         for name in ("packet", "transmit", "latency", "by_processor")
@@ -126,7 +127,7 @@ def few_pixels(frame: Frame, samples: float, least: int = LEAST_ACROSS) -> Frame
     """
     if frame.width * frame.height * frame.samples <= samples:
         return frame
-    return coarse_frame(frame, int(min(max(samples**0.5, least), MOST_ACROSS)))
+    return coarse_frame(frame, int(min(max(math.sqrt(samples), least), MOST_ACROSS)))
 
 
 def count_cell_work(holding: Holding, frame: Frame, prices: PriceLists, samples: float) -> CellWork:

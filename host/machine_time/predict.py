@@ -68,7 +68,7 @@ Tell = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class Told:
+class Estimate:
     """A time in machine seconds, and by what part of itself it may be off: 0 if it was simulated as it is."""
 
     seconds: float
@@ -104,11 +104,11 @@ class Prediction:
     search: str
     size: tuple[int, int]
     samples: int
-    frame: Told
-    set_up: Told
-    read_out: Told
+    frame: Estimate
+    set_up: Estimate
+    read_out: Estimate
     band: tuple[float, float]
-    busiest: Told
+    busiest: Estimate
     share: float
     latency: float
     balance: float
@@ -206,11 +206,11 @@ def _predicted(job: Job, cost: CostModel, search: str, arrays: int) -> Predictio
     hertz = cost.file.hertz
     return Prediction(
         job.space.shape, cost.name, search, (job.frame.width, job.frame.height), job.frame.samples,
-        Told(told.time / hertz, told.error),
+        Estimate(told.time / hertz, told.error),
         _set_up(job, cost, prices[MIDDLE]),
         _read_out(pictures, job, cost),
         _band(work, told.time / hertz),
-        Told(most / hertz, LIKELY * standard), law.share, told.latency / hertz,
+        Estimate(most / hertz, LIKELY * standard), law.share, told.latency / hertz,
         _balance(work), rays, rays / holding.cells, few, whole,
     )  # fmt: skip
 
@@ -242,23 +242,23 @@ def _simulated(job: Job, holding: Holding, priced: tuple[Prices, Long], samples:
     return found
 
 
-def _read_out(pictures: list[_Picture], job: Job, cost: CostModel) -> Told:
+def _read_out(pictures: list[_Picture], job: Job, cost: CostModel) -> Estimate:
     """All pixels leave by the corners, so the time grows with their number."""
     small, large = pictures[0], pictures[-1]
     if large.share == 1.0:
-        return Told(cost.seconds(int(large.read_out)), 0.0)
+        return Estimate(cost.seconds(int(large.read_out)), 0.0)
     law = share_of((small.pixels, small.read_out), (large.pixels, large.read_out), 0.0)
     ticks = law.share * job.pixels + law.latency
-    return Told(ticks / cost.file.hertz, READ_OUT_ERROR + 1.0 / math.sqrt(large.pixels))
+    return Estimate(ticks / cost.file.hertz, READ_OUT_ERROR + 1.0 / math.sqrt(large.pixels))
 
 
-def _set_up(job: Job, cost: CostModel, prices: Prices) -> Told:
+def _set_up(job: Job, cost: CostModel, prices: Prices) -> Estimate:
     """Flood the surfaces, or every so manieth: nearly all the time is that of the busiest corner, so it grows with them."""
     every = -(-len(job.surfaces) // FLOODED)
     surfaces = job.surfaces if every == 1 else SurfaceSet(tuple(_every(batch, every) for batch in job.surfaces))
     ticks = flood(job.space, ordered(surfaces), prices, cost.file.ticks.description[MIDDLE]).ticks
     scale = len(job.surfaces) / max(len(surfaces), 1)
-    return Told(ticks * scale / cost.file.hertz, 0.0 if every == 1 else FLOOD_ERROR)
+    return Estimate(ticks * scale / cost.file.hertz, 0.0 if every == 1 else FLOOD_ERROR)
 
 
 def _every(batch: Batch, many: int) -> Batch:

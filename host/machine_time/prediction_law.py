@@ -21,21 +21,21 @@ DOUBT = 0.05  # part of the growth of a latency that is stated as an error
 MOST_POWER = 16.0
 
 
-class Share(NamedTuple):
+class WorkShare(NamedTuple):
     """T = share x W + latency, the latter in the unit of T."""
 
     share: float
     latency: float
 
 
-def share_of(small: tuple[float, float], large: tuple[float, float], least: float = 1.0) -> Share:
+def share_of(small: tuple[float, float], large: tuple[float, float], least: float = 1.0) -> WorkShare:
     """The line through two pictures, each (W, T), with a share of `least` or more and a latency of 0 or more."""
     (less, sooner), (more, later) = small, large
     if more <= 0.0:
-        return Share(least, max(later, 0.0))
+        return WorkShare(least, max(later, 0.0))
     slope = (later - sooner) / (more - less) if more > less else least
     share = min(max(slope, least), max(later / more, least))
-    return Share(share, max(later - share * more, 0.0))
+    return WorkShare(share, max(later - share * more, 0.0))
 
 
 def shrunk_latency(latency: float, longest: float, seen: float, work: float) -> float:
@@ -85,7 +85,7 @@ class Extrapolated(NamedTuple):
 
 
 def extrapolated(
-    law: Share, large: tuple[float, float], longest: float, work: tuple[float, float], few: bool
+    law: WorkShare, large: tuple[float, float], longest: float, work: tuple[float, float], few: bool
 ) -> Extrapolated:
     """The time of a frame from what two pictures told.
 

@@ -44,6 +44,8 @@ EXPLAINED: dict[str, dict[str, set[str]]] = {
         "host.scene.scene": {"np.arctan"},
         "host.machine_time.scaling_law": {"np.exp", "np.log", "np.linalg.pinv", PRODUCT, POWER},
         "host.machine_time.scaling_law_report": {"np.exp", PRODUCT},
+        "host.machine_time.law_rivals": {"np.expm1", "np.log", PRODUCT},
+        "host.machine_time.prediction_law": {POWER},
     },
     "POV-Ray's scene, which it renders with its own arithmetic": {
         "host.export.povray": {"np.linalg.norm", "math.log10", POWER},

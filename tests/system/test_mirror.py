@@ -33,6 +33,7 @@ TESTED_ELSEWHERE: dict[str, dict[str, str]] = {
     "it is a part of a kernel, which is compared with its definition or with the oracle as a whole": {
         "emulator.partition.kernels": "emulator/partition/test_split.py",
         "emulator.simulator.kernels": "emulator/simulator/test_simulator.py",
+        "emulator.simulator.work_kernels": "emulator/simulator/test_work_count.py",
         "node.runtime.profile_kernel": "node/runtime/test_profile.py",
         "node.geometry.bvh_boxes": "node/geometry/test_bvh.py",
         "node.jit.code_types": "node/tracing/test_spawn.py",
@@ -107,6 +108,7 @@ TESTED_ELSEWHERE: dict[str, dict[str, str]] = {
         "host.journal.repair": "host/journal/test_journal.py",
         "host.machine_time.plots": "host/machine_time/test_scaling_law.py",
         "host.machine_time.scaling_law_report": "host/machine_time/test_scaling_law.py",
+        "host.machine_time.law_rivals_report": "host/machine_time/test_law_rivals.py",
         "host.machine_time.simulate": "emulator/simulator/test_simulator.py",
         "host.machine_time.simulate_stats": "emulator/simulator/test_simulator.py",
         "host.probes.chrome_trace": "node/runtime/test_probe.py",
@@ -170,6 +172,7 @@ TESTED_ELSEWHERE: dict[str, dict[str, str]] = {
         "host.cli.commands.law": "host/machine_time/test_scaling_law.py",
         "host.cli.commands.list": "host/service/test_service_commands.py",
         "host.cli.commands.load": "node/programs/test_programs.py",
+        "host.cli.commands.predict": "host/machine_time/test_predict.py",
         "host.cli.commands.probe": "host/cli/test_probe_view.py",
         "host.cli.commands.render_request": "host/cli/test_bad_input.py",
         "host.cli.commands.render": "host/cli/test_bad_input.py",

@@ -14,7 +14,7 @@ from raygrid.host.text.tables import count_of, table
 
 if TYPE_CHECKING:
     from raygrid.host.machine_time.cost_models import CostModel
-    from raygrid.host.machine_time.predict import Prediction, Told
+    from raygrid.host.machine_time.predict import Estimate, Prediction
 
 HEAD = ("array", "frame, s", "low to high costs", "set-up, s", "read-out, s", "busiest/mean", "rays a processor", "")
 
@@ -119,7 +119,7 @@ def _row(one: Prediction) -> tuple[str, ...]:
     )
 
 
-def _told(told: Told) -> str:
+def _told(told: Estimate) -> str:
     return _seconds(told.seconds) if told.error == 0.0 else f"{_seconds(told.seconds)} ± {told.error:.1%}"
 
 

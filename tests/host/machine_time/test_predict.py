@@ -14,7 +14,7 @@ from support.timed import job_of, scene_of
 import raygrid
 from raygrid.host.machine_time import predict as module
 from raygrid.host.machine_time.cost_models import load_cost_model
-from raygrid.host.machine_time.predict import Told, predict
+from raygrid.host.machine_time.predict import Estimate, predict
 from raygrid.host.machine_time.simulate import simulate_job
 from raygrid.node.errors import ArrayError, CostError, SceneError
 
@@ -38,9 +38,9 @@ def test_small_frames_are_simulated_as_they_are(cost, search):
     done = simulated("kinds.nff", (3, 2, 2), (40, 30), cost, search)
     model = load_cost_model(cost)
     assert told.whole
-    assert told.frame == Told(model.seconds(done.ticks), 0.0)
-    assert told.read_out == Told(model.seconds(done.read_outs["middle"].host), 0.0)
-    assert told.set_up == Told(model.seconds(done.floods["middle"].ticks), 0.0)
+    assert told.frame == Estimate(model.seconds(done.ticks), 0.0)
+    assert told.read_out == Estimate(model.seconds(done.read_outs["middle"].host), 0.0)
+    assert told.set_up == Estimate(model.seconds(done.floods["middle"].ticks), 0.0)
     busiest = done.frames["middle"].column("busy").max()
     assert told.busiest.seconds == pytest.approx(model.seconds(int(busiest)))
     assert told.busiest.seconds * told.share + told.latency == pytest.approx(told.frame.seconds)

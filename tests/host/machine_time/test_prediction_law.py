@@ -10,7 +10,7 @@ from raygrid.host.machine_time.prediction_law import (
     LEAST_ERROR_FEW,
     LIKELY,
     MOST_POWER,
-    Share,
+    WorkShare,
     extrapolated,
     jackknifed,
     share_of,
@@ -24,23 +24,23 @@ def test_two_pictures_tell_share_and_latency():
 
 def test_a_share_below_one_is_one():
     """The time of single rays hardly grows with the work: what is left is latency."""
-    assert share_of((100.0, 500.0), (400.0, 520.0)) == Share(1.0, 120.0)
+    assert share_of((100.0, 500.0), (400.0, 520.0)) == WorkShare(1.0, 120.0)
 
 
 def test_a_latency_below_zero_is_zero():
-    assert share_of((100.0, 110.0), (400.0, 480.0)) == Share(1.2, 0.0)
+    assert share_of((100.0, 110.0), (400.0, 480.0)) == WorkShare(1.2, 0.0)
 
 
 def test_pictures_of_equal_work_have_the_least_share():
-    assert share_of((100.0, 104.0), (100.0, 105.0)) == Share(1.0, 5.0)
+    assert share_of((100.0, 104.0), (100.0, 105.0)) == WorkShare(1.0, 5.0)
 
 
 def test_without_work_there_is_only_latency():
-    assert share_of((0.0, 0.0), (0.0, 7.0)) == Share(1.0, 7.0)
+    assert share_of((0.0, 0.0), (0.0, 7.0)) == WorkShare(1.0, 7.0)
 
 
 def test_read_outs_have_any_share():
-    assert share_of((10.0, 35.0), (30.0, 45.0), 0.0) == Share(0.5, 30.0)
+    assert share_of((10.0, 35.0), (30.0, 45.0), 0.0) == WorkShare(0.5, 30.0)
 
 
 @pytest.mark.parametrize("power", [1.2, 2.0, 4.0])
@@ -85,16 +85,16 @@ def test_nothing_done_is_no_error():
 
 
 def test_with_much_work_only_the_sampling_is_in_doubt():
-    found = extrapolated(Share(1.0, 0.0), (1000.0, 1000.0), 1.0, (9000.0, 0.02), False)
+    found = extrapolated(WorkShare(1.0, 0.0), (1000.0, 1000.0), 1.0, (9000.0, 0.02), False)
     assert found.time == 9000.0
     assert found.error == pytest.approx(np.hypot(LIKELY * 0.02, LEAST_ERROR))
 
 
 def test_few_rays_widen_the_error():
-    many, few = (extrapolated(Share(1.0, 9.0), (10.0, 19.0), 18.0, (100.0, 0.0), few) for few in (False, True))
+    many, few = (extrapolated(WorkShare(1.0, 9.0), (10.0, 19.0), 18.0, (100.0, 0.0), few) for few in (False, True))
     assert many.time == few.time
     assert few.error > max(many.error, LEAST_ERROR_FEW)
 
 
 def test_no_time_at_all():
-    assert extrapolated(Share(1.0, 0.0), (0.0, 0.0), 0.0, (0.0, 0.0), True) == (0.0, 0.0, 0.0)
+    assert extrapolated(WorkShare(1.0, 0.0), (0.0, 0.0), 0.0, (0.0, 0.0), True) == (0.0, 0.0, 0.0)
