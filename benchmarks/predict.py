@@ -4,11 +4,13 @@
         --cost 8086 --cost t800 --size 512x512 --csv cases.csv -o docs/predict.md
 
 The table lies between two marks of that file and replaces what was there. --only N: every Nth case, for a quick look.
+An interrupt (Ctrl-C) ends it early, with the table of what is done.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import csv
 import re
 import time
@@ -98,10 +100,11 @@ def main() -> None:
         for search in options.searches or ("list", "tree")
     ][:: options.only]
     cases, scenes = [], {path: load_scene(path) for path in options.scenes}
-    for path, array, cost, search in asked:
-        case = compare(scenes[path], array, load_cost_model(cost), search, settings)
-        cases.append(case)
-        print(_line(case), flush=True)
+    with contextlib.suppress(KeyboardInterrupt):
+        for path, array, cost, search in asked:
+            case = compare(scenes[path], array, load_cost_model(cost), search, settings)
+            cases.append(case)
+            print(_line(case), flush=True)
     if options.csv:
         _save(options.csv, cases)
     rows = table(cases, options)
