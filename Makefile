@@ -40,7 +40,7 @@ test-long: $(STAMP) ## all tests, the long ones too
 	$(BIN)/python -m pytest
 
 # each turns one fast path off (docs/doctor.md)
-SWITCHES := RAYGRID_FAST_LOAD RAYGRID_NATIVE_LINKS
+SWITCHES := RAYGRID_FAST_LOAD RAYGRID_NATIVE_LINKS RAYGRID_SIMD
 
 test-switches: $(STAMP) ## the tests with each fast path off, one after the other; long
 	@for switch in $(SWITCHES); do echo "$$switch=0"; env $$switch=0 $(PYTEST) -m "not slow" || exit 1; done

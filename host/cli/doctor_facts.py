@@ -196,11 +196,12 @@ def _path(what: str, why: str | None) -> FastPath:
 
 def _vectors() -> FastPath:
     """How wide the registers are in which eight rays are worked on at once."""
+    from raygrid.node.jit import SIMD, why_off
     from raygrid.node.jit.target import read_target
 
     found = read_target()
     name = ", ".join(filter(None, (found.name, found.instructions)))
-    return _path(f"eight rays at once, in registers of {found.bits} bits ({name})", found.why)
+    return _path(f"eight rays at once, in registers of {found.bits} bits ({name})", why_off(SIMD) or found.why)
 
 
 # --- kernel cache ------------------------------------------------------------------------------------

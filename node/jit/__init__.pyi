@@ -4,3 +4,5 @@ from .decorators import is_on_disk as is_on_disk
 from .decorators import kernel as kernel
 from .decorators import lean as lean
 from .decorators import part as part
+from .switches import SIMD as SIMD
+from .switches import why_off as why_off

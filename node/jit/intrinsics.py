@@ -67,7 +67,7 @@ def array_data(context: BaseContext, builder: IRBuilder, kind: Type, array: Valu
     return builder.extract_value(builder.insert_value(holder, data, 0), 0)
 
 
-def _element(context: BaseContext, builder: IRBuilder, kind: Any, array: Value, index: Value, many: Any) -> Value:
+def element(context: BaseContext, builder: IRBuilder, kind: Any, array: Value, index: Value, many: Any) -> Value:
     """The place of an element of a flat array. `many`: how many are read or written from there on, a number or a Value."""
     if config.BOUNDSCHECK:
         held = context.make_array(kind)(context, builder, array).nitems
@@ -126,7 +126,7 @@ def _address(typingctx: TypingContext, array: Type, index: Type) -> Typed:
     """The address of an element of a flat array."""
 
     def codegen(context: BaseContext, builder: IRBuilder, signature: Signature, arguments: Values) -> Value:
-        place = _element(context, builder, signature.args[0], arguments[0], arguments[1], 0)
+        place = element(context, builder, signature.args[0], arguments[0], arguments[1], 0)
         return builder.ptrtoint(place, _LONG)
 
     return types.int64(array, types.int64), codegen
@@ -141,8 +141,8 @@ def _copy_bytes(typingctx: TypingContext, source: Type, at: Type, target: Type, 
     def codegen(context: BaseContext, builder: IRBuilder, signature: Signature, arguments: Values) -> Value:
         read, at, written, to, many = arguments
         kinds = signature.args
-        target = _element(context, builder, kinds[2], written, to, many)
-        source = _element(context, builder, kinds[0], read, at, many)
+        target = element(context, builder, kinds[2], written, to, many)
+        source = element(context, builder, kinds[0], read, at, many)
         cgutils.raw_memcpy(builder, target, source, many, 1)
         return context.get_dummy_value()
 
@@ -156,7 +156,7 @@ def _put_words(typingctx: TypingContext, target: Type, at: Type, first: Type, se
         raw, at, *words = arguments
         for k, value in enumerate(words):
             index = builder.add(at, ir.Constant(_LONG, 8 * k))
-            place = _element(context, builder, signature.args[0], raw, index, 8)
+            place = element(context, builder, signature.args[0], raw, index, 8)
             builder.store(_least_first(builder, value), place, align=1)
         return context.get_dummy_value()
 
@@ -173,7 +173,7 @@ def _load(bits: int) -> Callable[..., Typed]:
         """The number that begins at place `at` of a flat uint8 array."""
 
         def codegen(context: BaseContext, builder: IRBuilder, signature: Signature, arguments: Values) -> Value:
-            place = _element(context, builder, signature.args[0], arguments[0], arguments[1], bits // 8)
+            place = element(context, builder, signature.args[0], arguments[0], arguments[1], bits // 8)
             value = _least_first(builder, builder.load(place, align=1, typ=ir.IntType(bits)))
             return value if bits == 64 else builder.zext(value, _LONG)
 

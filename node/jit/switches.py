@@ -24,7 +24,8 @@ class Switch(NamedTuple):
 
 FAST_LOAD = Switch("RAYGRID_FAST_LOAD")  # node.jit.fast_load
 NATIVE_LINKS = Switch("RAYGRID_NATIVE_LINKS")  # node.links.zmq_c_api, node.runtime.native_links
-SWITCHES = (FAST_LOAD, NATIVE_LINKS)
+SIMD = Switch("RAYGRID_SIMD", changes_code=True)  # node.jit.formula
+SWITCHES = (FAST_LOAD, NATIVE_LINKS, SIMD)
 
 
 def why_off(switch: Switch, tell: Callable[[str, str], None] = remark) -> str | None:

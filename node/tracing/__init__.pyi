@@ -25,8 +25,6 @@ from .shading import normals as normals
 from .shading import place as place
 from .shading import refract as refract
 from .step import edge_colour as edge_colour
-from .traverse import FAREST as FAREST
 from .traverse import closest as closest
-from .traverse import for_boxes as for_boxes
 from .work_queues import BYTES_A_PACKET as BYTES_A_PACKET
 from .work_queues import FIRST_QUEUE_ROOM as FIRST_QUEUE_ROOM

@@ -188,11 +188,8 @@ def stale_cycles(modules: Modules, known: Collection[Edge]) -> list[str]:
     ]
 
 
-def past_fences(
-    modules: Modules, fences: Mapping[str, tuple[str, ...]], open_fences: Collection[Edge] = ()
-) -> list[str]:
-    """The insides of a library are named only in the packages and modules that a fence lets in; `open_fences`: (module,
-    inside) that still are elsewhere.
+def past_fences(modules: Modules, fences: Mapping[str, tuple[str, ...]]) -> list[str]:
+    """The insides of a library are named only in the packages and modules that a fence lets in.
 
     fences  the inside, a dotted name -> who may name it
     In imports, behind the name of an imported library (`numba.core`), and in strings that an import could be made of.
@@ -201,26 +198,13 @@ def past_fences(
     for module in modules.values():
         named = list(_foreign_names(module.tree))
         for inside, places in fences.items():
-            if (
-                any(f"{module.name}.".startswith(f"{place}.") for place in places)
-                or (module.name, inside) in open_fences
-            ):
+            if any(f"{module.name}.".startswith(f"{place}.") for place in places):
                 continue
             lines = {line for name, line in named if f"{name}.".startswith(f"{inside}.")}
             faults += [
                 f"{module.name}:{line} names {inside}, which is for {' and '.join(places)}" for line in sorted(lines)
             ]
     return faults
-
-
-def unused_gates(modules: Modules, fences: Mapping[str, tuple[str, ...]], open_fences: Collection[Edge]) -> list[str]:
-    """Modules that a fence is open for, and that no longer name what is behind it."""
-    faults = past_fences(modules, fences)
-    return [
-        f"{name} is let through the fence around {inside}, and does not name it"
-        for name, inside in sorted(open_fences)
-        if not any(fault.startswith(f"{name}:") and f" names {inside}," in fault for fault in faults)
-    ]
 
 
 def _foreign_names(tree: ast.Module) -> Iterator[tuple[object, int]]:
@@ -238,14 +222,13 @@ def _foreign_names(tree: ast.Module) -> Iterator[tuple[object, int]]:
             yield from ((one.value, node.lineno) for one in node.args if isinstance(one, ast.Constant))
 
 
-def typed_pointers(modules: Modules, open_modules: Collection[str] = ()) -> list[str]:
+def typed_pointers(modules: Modules) -> list[str]:
     """Whoever writes LLVM's instructions by llvmlite gives pointers no types, and says what is read and stepped over, as
     llvmlite is going to drop pointers that know it."""
     return [
         f"{module.name}:{line} {what}"
         for module in modules.values()
-        if module.name not in open_modules
-        and any(str(name).startswith("llvmlite") for name, _ in _foreign_names(module.tree))
+        if any(str(name).startswith("llvmlite") for name, _ in _foreign_names(module.tree))
         for line, what in sorted(_uses_of_types(module.tree))
     ]
 

@@ -20,7 +20,6 @@ from support.modules import (
     stale_cycles,
     typed_pointers,
     unknown_imports,
-    unused_gates,
     unused_openings,
     wrong_layers,
 )
@@ -61,17 +60,6 @@ FENCES = {  # insides of libraries, which change without notice -> who may know 
     "numba.core": ("node.jit",),
     "zmq.backend": ("node.links.zmq_c_api",),
 }
-# who writes LLVM's instructions outside node.jit still: to be empty
-WRITE_INSTRUCTIONS = {
-    "node.geometry.bvh_simd": ("llvmlite", "numba.core"),
-    "node.tracing.primary_rays": ("numba.core",),
-    "node.tracing.ray_classify": ("llvmlite", "numba.core"),
-    "node.tracing.ray_setup": ("numba.core",),
-    "node.tracing.spawn": ("numba.core",),
-}
-OPEN_FENCES = {(module, inside) for module, insides in WRITE_INSTRUCTIONS.items() for inside in insides}
-# whose pointers have types still: to be empty
-TYPED_POINTERS = ("node.geometry.bvh_simd", "node.jit.simd", "node.tracing.ray_classify")
 MOST_MODULES = 20
 
 RULES = {
@@ -83,9 +71,8 @@ RULES = {
     "open modules that are not used": partial(unused_openings, open_modules=OPEN),
     "cycles": partial(cycles, without=KNOWN_CYCLES),
     "known cycles that are gone": partial(stale_cycles, known=KNOWN_CYCLES),
-    "fences": partial(past_fences, fences=FENCES, open_fences=OPEN_FENCES),
-    "open fences that are not used": partial(unused_gates, fences=FENCES, open_fences=OPEN_FENCES),
-    "pointers without types": partial(typed_pointers, open_modules=TYPED_POINTERS),
+    "fences": partial(past_fences, fences=FENCES),
+    "pointers without types": typed_pointers,
     "room": partial(crowded_rooms, most=MOST_MODULES),
     "what packages say": packages_that_say_nothing,
 }
@@ -155,12 +142,12 @@ PLANTED = {  # rule -> (files, what it says of them)
     ),
     "cycles": (
         {
-            "node/jit/cache.py": "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from raygrid.node.jit import simd\n",
-            "node/jit/simd.py": "def f():\n    from raygrid.node.jit.decorators import part\n",
+            "node/jit/cache.py": "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from raygrid.node.jit import lanes\n",
+            "node/jit/lanes.py": "def f():\n    from raygrid.node.jit.decorators import part\n",
             "node/jit/decorators.py": "import raygrid.node.jit.cache\n",
             "node/jit/trusted_files.py": "import raygrid.node.jit.cache\n",
         },
-        ["node.jit.cache node.jit.decorators node.jit.simd import each other"],
+        ["node.jit.cache node.jit.decorators node.jit.lanes import each other"],
     ),
     "fences": (
         {
@@ -177,11 +164,6 @@ PLANTED = {  # rule -> (files, what it says of them)
          "node.timed.lookahead:3 names numba.core, which is for node.jit",
          "host.cli.trace:1 names llvmlite, which is for node.jit",
          "host.cli.trace:2 names llvmlite, which is for node.jit"],
-    ),
-    "open fences that are not used": (
-        {"node/tracing/spawn.py": "from numba import njit\n"},
-        [f"{module} is let through the fence around {inside}, and does not name it"
-         for module, inside in sorted(OPEN_FENCES)],
     ),
     "pointers without types": (
         {

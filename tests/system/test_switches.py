@@ -16,6 +16,11 @@ pytestmark = pytest.mark.usefixtures("fast_paths_on")
 SMALL = (str(SCENES / "kinds.nff"), "--size", "48x36", "--array", "2x2x2", "-q")
 
 
+def case(switch):
+    """One without which every kernel is compiled anew takes minutes."""
+    return pytest.param(switch, marks=pytest.mark.slow) if switch.changes_code else switch
+
+
 @pytest.fixture(scope="module")
 def usual(tmp_path_factory, warm_kernels):
     return rendered(tmp_path_factory.mktemp("usual"), {switch.variable: "" for switch in SWITCHES})
@@ -31,7 +36,7 @@ def rendered(folder, environment):
 
 
 @pytest.mark.usefixtures("no_leftovers")
-@pytest.mark.parametrize("switch", SWITCHES, ids=lambda switch: switch.variable)
+@pytest.mark.parametrize("switch", [case(one) for one in SWITCHES], ids=lambda switch: switch.variable)
 def test_the_picture_is_the_same_with_each_off(switch, usual, tmp_path):
     sums, stats = rendered(tmp_path, {switch.variable: "0"})
     assert np.array_equal(sums, usual[0])
