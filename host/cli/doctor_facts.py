@@ -37,7 +37,7 @@ from raygrid.node.errors import TooLarge
 SMALL = (2, 2, 2)  # the array that `render` launches unless told otherwise
 NEEDED = (  # distributions that raygrid does not run without, by their usual names
     *("numpy", "numba", "llvmlite", "pyzmq", "msgpack", "xxhash", "Pillow", "trimesh", "plyfile", "click"),
-    *("lazy-loader", "rich", "pydantic"),
+    *("rich", "pydantic"),
 )
 IMPORTED = {"numpy": "numpy", "numba": "numba", "zmq": "pyzmq", "msgpack": "msgpack", "xxhash": "xxhash"}  # by nodes
 EXTRAS = {"plots": ("matplotlib",), "law": ("matplotlib", "scipy"), "prometheus": ("prometheus_client",)}
@@ -232,13 +232,13 @@ def only_looking() -> Iterator[None]:
 def read_cache() -> CacheFacts:
     """Read where kernels are or would be kept, and what is kept there. The libraries that nodes need must be there."""
     with only_looking():
-        from raygrid.node.jit import cache, trusted_files
-    name = f"kernels-{cache._digest()}"
+        from raygrid.node.jit import cache, why_not_trusted
+    name = f"kernels-{cache.digest()}"
     wrong: list[str] = []
-    for base in cache._bases():
+    for base in cache.bases():
         directory = Path(os.path.abspath(base)) / name
         exists = os.path.lexists(directory)
-        why = trusted_files.why_not_trusted(str(directory)) if exists else _why_not_made(directory)
+        why = why_not_trusted(str(directory)) if exists else _why_not_made(directory)
         if why is None:
             writable = not exists or os.access(directory, os.W_OK | os.X_OK, effective_ids=True)
             return _kept(directory, exists, writable, "; ".join(wrong))
@@ -248,19 +248,13 @@ def read_cache() -> CacheFacts:
 
 def _why_not_made(directory: Path) -> str | None:
     """Why a directory that is not there cannot be made, or would not be trusted; None if it can."""
-    from raygrid.node.jit import trusted_files
+    from raygrid.node.jit import why_not_within
 
-    nearest = Path(os.path.realpath(next(path for path in directory.parents if os.path.lexists(path))))
-    try:
-        for path in (nearest, *nearest.parents):
-            why = trusted_files._why_not(os.lstat(path), True)
-            if why is not None:
-                return f"{path} above it is {why}"
-    except OSError as error:
-        return error.strerror or str(error)
-    if not os.access(nearest, os.W_OK | os.X_OK, effective_ids=True):
-        return f"it is not there, and {nearest} cannot be written"
-    return None
+    nearest = os.path.realpath(next(path for path in directory.parents if os.path.lexists(path)))
+    why = why_not_within(nearest)
+    if why is None and not os.access(nearest, os.W_OK | os.X_OK, effective_ids=True):
+        why = f"it is not there, and {nearest} cannot be written"
+    return why
 
 
 def _kept(directory: Path | None, exists: bool, writable: bool, why: str) -> CacheFacts:
@@ -328,9 +322,7 @@ def read_limits() -> tuple[dict[str, LimitFacts], list[str]]:
 
 def read_places() -> LocationFacts:
     """Read where sockets and temporary files go, and where ffmpeg is."""
-    sockets: dict[str, str | None] = {}
     temporary = None
     with contextlib.suppress(FileNotFoundError):  # Python has tried, and found no directory that can be written
         temporary = tempfile.gettempdir()
-        sockets = why_not_usable(SMALL)
-    return {"sockets": sockets, "temporary": temporary, "ffmpeg": shutil.which("ffmpeg")}
+    return {"sockets": why_not_usable(SMALL), "temporary": temporary, "ffmpeg": shutil.which("ffmpeg")}

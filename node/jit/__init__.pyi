@@ -6,3 +6,5 @@ from .decorators import lean as lean
 from .decorators import part as part
 from .switches import SIMD as SIMD
 from .switches import why_off as why_off
+from .trusted_files import why_not_trusted as why_not_trusted
+from .trusted_files import why_not_within as why_not_within

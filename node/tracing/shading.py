@@ -171,3 +171,10 @@ def light_discs(frame, d, red, green, blue):
 def place(origin, step):
     """The numbers that lattice coordinates stand for."""
     return coordinate(origin[0], step[0]), coordinate(origin[1], step[1]), coordinate(origin[2], step[2])
+
+
+@part
+def edge_colour(frame, d):
+    """Colour of a ray that leaves the scene in direction d: the background, or the disc of a light."""
+    red, green, blue = frame.background
+    return light_discs(frame, d, red, green, blue)

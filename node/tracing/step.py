@@ -66,7 +66,7 @@ from raygrid.node.tracing.ray_setup import (
     set_up_rays,
     take_root,
 )
-from raygrid.node.tracing.shading import light_direction, light_discs, light_intensity, normals, place, refract
+from raygrid.node.tracing.shading import edge_colour, light_direction, light_intensity, normals, place, refract
 from raygrid.node.tracing.spawn import RAY_BATCH, SHADOW_BATCH
 from raygrid.node.tracing.traverse import blocked_below, closest_below, open_root
 
@@ -148,13 +148,6 @@ def _at_edge(cell, space, frame, pixels, packets, at, kind, d, outputs, counts):
     give_back(
         cell, space, frame, pixels, sample, depth, weight[0] * red, weight[1] * green, weight[2] * blue, outputs, counts
     )
-
-
-@part
-def edge_colour(frame, d):
-    """Colour of a ray that leaves the scene in direction d: the background, or the disc of a light."""
-    red, green, blue = frame.background
-    return light_discs(frame, d, red, green, blue)
 
 
 @part

@@ -141,7 +141,7 @@ def test_the_width_of_vectors(monkeypatch, features, bits, on):
 
 
 def place(base: Path) -> Path:
-    return base / f"kernels-{cache._digest()}"
+    return base / f"kernels-{cache.digest()}"
 
 
 def shared(base: Path) -> Path:
@@ -177,7 +177,7 @@ BASES = {  # how it stands -> a base of that kind below a directory
 def test_the_place_is_the_one_that_the_next_run_takes(kind, tmp_path, monkeypatch):
     """Told before it is there and after; and looking makes nothing."""
     bases = [BASES[kind](tmp_path), tmp_path / "second"]
-    monkeypatch.setattr(cache, "_bases", lambda: iter(bases))
+    monkeypatch.setattr(cache, "bases", lambda: iter(bases))
     before = sorted(tmp_path.rglob("*"))
     expected = doctor_facts.read_cache()
     assert sorted(tmp_path.rglob("*")) == before
@@ -203,7 +203,7 @@ def test_a_cache_that_cannot_be_written(tmp_path, monkeypatch):
 
 
 def test_nowhere_to_keep_kernels(tmp_path, monkeypatch):
-    monkeypatch.setattr(cache, "_bases", lambda: iter([tmp_path / "one", tmp_path / "two"]))
+    monkeypatch.setattr(cache, "bases", lambda: iter([tmp_path / "one", tmp_path / "two"]))
     monkeypatch.setattr(os, "access", lambda *_arguments, **_options: False)
     found = doctor_facts.read_cache()
     assert found["directory"] is None
@@ -298,8 +298,10 @@ def test_no_temporary_directory_at_all(monkeypatch):
         raise FileNotFoundError("No usable temporary directory found")
 
     monkeypatch.setattr(tempfile, "gettempdir", none)
-    assert doctor_facts.read_places()["temporary"] is None
-    assert doctor_facts.read_places()["sockets"] == {}
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/nowhere")
+    found = doctor_facts.read_places()
+    assert found["temporary"] is None
+    assert list(found["sockets"]) == ["/nowhere", os.path.realpath("/tmp")]
 
 
 def test_without_ffmpeg(monkeypatch, tmp_path):

@@ -147,9 +147,9 @@ def test_no_temporary_directory(monkeypatch):
 
     monkeypatch.setattr(tempfile, "gettempdir", none)
     done = here("doctor")
-    assert done.code == 1
-    assert "PROBLEM: no temporary directory can be written: set TMPDIR to one that can" in said(done)
-    assert "sockets in nowhere" in said(done)
+    assert done.code == 0
+    assert "advice: no temporary directory can be written" in said(done)
+    assert "temporary no directory can be written" in said(done)
 
 
 def test_an_extra_that_is_not_installed(monkeypatch):
