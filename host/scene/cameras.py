@@ -18,7 +18,9 @@ from enum import Enum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from raygrid.host.scene.linear_algebra import dot, lengths
 from raygrid.node.errors import SceneError
+from raygrid.node.geometry import rounded
 from raygrid.node.protocol import CAMERA_RECORD
 
 Vector = tuple[float, float, float]
@@ -118,11 +120,11 @@ def look_at_everything(bounds: ArrayLike, up: Vector = (0.0, 1.0, 0.0)) -> Camer
     towards = front + 0.65 * np.cross(upward, front) + 0.45 * upward
     centre = (low + high) / 2.0
     forward, right, lift = (np.array(v) for v in _frame(centre + towards, centre, upward)[1:])
-    half = math.tan(math.radians(DEFAULT_FOV) / 2.0)
+    half = rounded.tan(math.radians(DEFAULT_FOV) / 2.0)
     corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     offsets = corners - centre
-    reach = np.maximum(np.abs(offsets @ right), np.abs(offsets @ lift)) * FRAME_MARGIN
-    distance = float(np.max(reach / half - offsets @ forward))
+    reach = np.maximum(np.abs(dot(offsets, right)), np.abs(dot(offsets, lift))) * FRAME_MARGIN
+    distance = float(np.max(reach / half - dot(offsets, forward)))
     # A scene of one point has no size to frame: stay so far away that the eye is another point, rounded too.
     eye = centre - forward * (max(distance, 1e-6 * float(np.abs(centre).max())) or 1.0)
     return Camera(_triple(eye), _triple(forward), _triple(right), _triple(lift), half, Span.NARROW)
@@ -135,7 +137,7 @@ def _half_angle(angle: float) -> float:
         raise SceneError(
             f"the camera's angle is {angle!r} degrees, wanted at most {WIDEST:g}: wider loses its own axis"
         )
-    return math.tan(math.radians(angle) / 2.0)
+    return rounded.tan(math.radians(angle) / 2.0)
 
 
 def _frame(eye: ArrayLike, at: ArrayLike, up: ArrayLike) -> tuple[Vector, Vector, Vector, Vector]:
@@ -144,16 +146,16 @@ def _frame(eye: ArrayLike, at: ArrayLike, up: ArrayLike) -> tuple[Vector, Vector
     if not np.isfinite(np.concatenate((start, aim, above))).all():
         raise SceneError("the camera has a number that is not finite in its eye, its aim or its up")
     view = aim - start
-    length = float(np.linalg.norm(view))
+    length = float(lengths(view))
     if not length > 1e-12 * float(np.abs(start).max()):
         raise SceneError(f"the camera looks from {_shown(start)} at that same point, wanted two different points")
     forward = view / length
     largest = float(np.abs(above).max())
     if largest > 0.0 and not 1e-100 < largest < 1e100:  # its square may be no number
         above = np.ldexp(above, -math.frexp(largest)[1])
-    tall = float(np.linalg.norm(above))
+    tall = float(lengths(above))
     sideways = np.cross(forward, above / tall) if tall > 0.0 else np.zeros(3)
-    width = float(np.linalg.norm(sideways))
+    width = float(lengths(sideways))
     if not width > 1e-9:
         raise SceneError(f"the camera's up {_shown(above)} is parallel to its view, wanted another direction")
     right = sideways / width
