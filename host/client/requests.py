@@ -6,7 +6,7 @@ docs/service.md describes each request and its answer.
 from __future__ import annotations
 
 import os
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, cast
 
 from pydantic import (
     AfterValidator,
@@ -21,6 +21,8 @@ from pydantic import (
 
 from raygrid.host.client.protocol import Message, shown
 from raygrid.host.image.frames import LAST_FRAME, MOST_FRAMES, check_job
+from raygrid.host.render.given_settings import GivenSettings, parted
+from raygrid.host.scene import view
 from raygrid.host.text.bounds import (
     LONGEST_CLIENT,
     LONGEST_PATH,
@@ -37,7 +39,7 @@ from raygrid.host.text.bounds import (
     MOST_LISTED,
     MOST_OUTPUTS,
 )
-from raygrid.node.errors import OutputError, ProtocolError
+from raygrid.node.errors import OutputError, ProtocolError, SceneError
 
 _PATH = f"an absolute path of at most {LONGEST_PATH} characters"
 _SWITCH = "true or false"
@@ -55,6 +57,13 @@ WANTED = {
     "settings.min_weight": f"a number from 0 to {MAX_WEIGHT}",
     "settings.highlights": _SWITCH,
     "settings.split": "balanced or uniform",
+    **{f"settings.{name}": view.THREE for name in ("eye", "at", "up")},
+    "settings.fov": view.ANGLE,
+    "settings.camera": view.CAMERA,
+    "settings.fit": f"one of: {', '.join(view.FITS)}",
+    "settings.lights": f"a list of at most {view.MOST_LIGHTS}, each {view.LIGHT}",
+    "settings.background": view.COLOUR,
+    "settings.crease": view.CREASE,
     "frames": f"the first and the last of at most {MOST_FRAMES:,} frames, from 1 to {LAST_FRAME}",
     "turntable": "a number of frames",
     "turntable.frames": f"a whole number from 1 to {MAX_FRAMES:,}",
@@ -93,6 +102,7 @@ def _few_pixels(size: tuple[int, int]) -> tuple[int, int]:
 Size = Annotated[tuple[Side, Side], Strict(False), AfterValidator(_few_pixels)]  # msgpack has lists, no tuples
 Path = Annotated[str, Field(max_length=LONGEST_PATH), AfterValidator(_absolute)]
 Frame = Annotated[int, Field(ge=1, le=LAST_FRAME)]
+Triple = Annotated[tuple[float, float, float], Strict(False)]
 Number = Annotated[int, Field(ge=1, le=MAX_JOB)]
 
 
@@ -111,6 +121,27 @@ class SettingsOf(Strictly):
     min_weight: Annotated[float, Field(ge=0.0, le=MAX_WEIGHT)] | None = None
     highlights: bool | None = None
     split: Literal["balanced", "uniform"] = "balanced"
+    eye: Triple | None = None
+    at: Triple | None = None
+    up: Triple | None = None
+    fov: float | None = None
+    camera: Annotated[str, Field(max_length=LONGEST_PATH)] | int | None = None
+    fit: str | None = None
+    lights: Annotated[tuple[tuple[float, ...], ...], Strict(False), Field(max_length=view.MOST_LIGHTS)] | None = None
+    background: Triple | None = None
+    crease: float | None = None
+
+    def given(self) -> GivenSettings:
+        """The settings by keyword, those left out that are None."""
+        return cast(GivenSettings, {name: value for name, value in dict(self).items() if value is not None})
+
+    @model_validator(mode="after")
+    def _view_can_be(self) -> Self:
+        try:
+            view.view_of(parted(self.given())[1])
+        except SceneError as error:
+            raise ValueError(str(error)) from None
+        return self
 
 
 class TurntableOf(Strictly):
@@ -248,7 +279,7 @@ def _first_fault(error: ValidationError, message: Message) -> str:
     if first["type"] == "extra_forbidden":
         known = f"only what {message['do']} knows" if isinstance(message.get("do"), str) else "only what is known"
         return f"the key {'.'.join(steps)[:80]!r} came, wanted {known}"
-    if first["type"] == "value_error" and not steps:
+    if first["type"] == "value_error" and steps in ([], ["settings"]):
         return str(first["ctx"]["error"])
     if first["type"].startswith("union_tag"):
         steps = ["do"]

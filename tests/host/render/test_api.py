@@ -91,7 +91,7 @@ def test_several_scenes_in_turn(machine):
 
 def test_a_scene_can_be_loaded_once_and_rendered_often(machine):
     scene = raygrid.load_scene(KINDS)
-    assert isinstance(scene, raygrid.Scene)
+    assert isinstance(scene, raygrid.LoadedScene)
     pictures = [machine.render(scene, size=SIZE, samples=samples) for samples in (1, 4, 1)]
     assert np.array_equal(pictures[0].sums, pictures[2].sums)
     assert [picture.samples for picture in pictures] == [1, 4, 1]
