@@ -6,13 +6,14 @@ docs/service.md describes each request and its answer.
 from __future__ import annotations
 
 import os
-from typing import Annotated, Literal, Self, cast
+from typing import Annotated, Any, Literal, Self, cast
 
 from pydantic import (
     AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
+    PlainValidator,
     Strict,
     TypeAdapter,
     ValidationError,
@@ -102,8 +103,20 @@ def _few_pixels(size: tuple[int, int]) -> tuple[int, int]:
 Size = Annotated[tuple[Side, Side], Strict(False), AfterValidator(_few_pixels)]  # msgpack has lists, no tuples
 Path = Annotated[str, Field(max_length=LONGEST_PATH), AfterValidator(_absolute)]
 Frame = Annotated[int, Field(ge=1, le=LAST_FRAME)]
-Triple = Annotated[tuple[float, float, float], Strict(False)]
 Number = Annotated[int, Field(ge=1, le=MAX_JOB)]
+
+
+def _of_view(name: str) -> PlainValidator:
+    """Checks a keyword of a view by itself, as everybody else's."""
+
+    def check(value: object) -> object:
+        try:
+            made = view.view_of(cast(view.GivenView, {name: value}))
+        except SceneError as error:
+            raise ValueError(str(error)) from None
+        return None if value is None else getattr(made, name)
+
+    return PlainValidator(check)
 
 
 class Strictly(BaseModel):
@@ -121,15 +134,15 @@ class SettingsOf(Strictly):
     min_weight: Annotated[float, Field(ge=0.0, le=MAX_WEIGHT)] | None = None
     highlights: bool | None = None
     split: Literal["balanced", "uniform"] = "balanced"
-    eye: Triple | None = None
-    at: Triple | None = None
-    up: Triple | None = None
-    fov: float | None = None
-    camera: Annotated[str, Field(max_length=LONGEST_PATH)] | int | None = None
-    fit: str | None = None
-    lights: Annotated[tuple[tuple[float, ...], ...], Strict(False), Field(max_length=view.MOST_LIGHTS)] | None = None
-    background: Triple | None = None
-    crease: float | None = None
+    eye: Annotated[Any, _of_view("eye")] = None
+    at: Annotated[Any, _of_view("at")] = None
+    up: Annotated[Any, _of_view("up")] = None
+    fov: Annotated[float | None, _of_view("fov")] = None
+    camera: Annotated[str | int | None, _of_view("camera")] = None
+    fit: Annotated[str | None, _of_view("fit")] = None
+    lights: Annotated[Any, _of_view("lights")] = None
+    background: Annotated[Any, _of_view("background")] = None
+    crease: Annotated[float | None, _of_view("crease")] = None
 
     def given(self) -> GivenSettings:
         """The settings by keyword, those left out that are None."""

@@ -18,6 +18,7 @@ FITS = ("front", "back", "left", "right", "top", "bottom", "three-quarter", "iso
 MAX_NUMBER = 1e30
 WIDEST = 179.99  # degrees, as of all cameras
 MOST_CREASE = 180.0  # degrees
+LONGEST_NAME = 1000  # characters
 MOST_LIGHTS = 256  # more are asked of a file
 
 THREE = "three finite numbers of at most 1e30 in size such as 0, 2, 8"
@@ -172,7 +173,7 @@ def _angle(name: str, value: Any, above: float | None, most: float, wanted: str)
 
 
 def _camera(value: Any) -> str | int | None:
-    if value is None or (isinstance(value, str) and value):
+    if value is None or (isinstance(value, str) and 0 < len(value) <= LONGEST_NAME):
         return value
     if isinstance(value, bool) or not isinstance(value, int):
         _refuse("camera", value, CAMERA)
