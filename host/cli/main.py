@@ -54,6 +54,8 @@ Examples:
   raygrid render scenes/room.glb
   raygrid render scenes/glass.toml --array 3x3x3 --samples 4 -o glass.png
   raygrid render scenes/checker.obj -o a.png -o a.npy --stats a.json
+  raygrid render scenes/room.obj --fit front --light 2,7,4 -o front.png
+  raygrid render scenes/glass.toml --from 3,2,6 --at 0,1,0 --fov 30
   raygrid render scenes/tree.nff --array 4x4x1 --split uniform --batch 1
   raygrid render scenes/mobile.toml --frames 1-48 -o 'out/m_%04d.png'
   raygrid render scenes/glass.toml --turntable 72 -o out/round.webp

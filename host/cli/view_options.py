@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from raygrid.host.cli.types import AnyType, Command, NumberType, shorten
-from raygrid.host.scene.view import FITS, MAX_NUMBER, MOST_CREASE, WIDEST
+from raygrid.host.scene.view import CAMERA, FITS, LONGEST_NAME, MAX_NUMBER, MOST_CREASE, WIDEST
 
 Numbers = tuple[float, ...]
 
@@ -27,6 +27,18 @@ class NumbersType(AnyType):
         if len(row) not in self._counts or None in row or any((number or 0.0) < 0.0 for number in row[self._bounded :]):
             self.fail(f"{shorten(value)} came, wanted {self._wanted}", param, ctx)
         return tuple(number for number in row if number is not None)
+
+
+class CameraName(AnyType):
+    """The name of a camera, or its number."""
+
+    name = "camera"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Raises a usage error for what no camera can be called."""
+        if not 0 < len(str(value)) <= LONGEST_NAME:
+            self.fail(f"{shorten(value)} came, wanted {CAMERA}", param, ctx)
+        return str(value)
 
 
 def _number(word: str) -> float | None:
@@ -64,7 +76,7 @@ def view_options(command: Command) -> Command:
         click.option("--up", type=POINT, metavar="X,Y,Z", help="What is up.  [default: as the scene or its format has it]"),
         click.option("--fov", type=NumberType(0.0, WIDEST), callback=_angle, metavar="DEG",
                      help="The camera's vertical angle, in degrees."),
-        click.option("--camera", metavar="NAME|N", help="One of the scene's cameras, by name or by number from 1."),
+        click.option("--camera", type=CameraName(), metavar="NAME|N", help="One of the scene's cameras, by name or number from 1."),
         click.option("--fit", type=click.Choice(FITS), help="See all of the scene from there. iso has parallel rays."),
         click.option("--light", "lights", type=LIGHT, multiple=True, callback=_some, metavar="X,Y,Z[,R,G,B]",
                      help="A point light, instead of the scene's; linear colour, white if none. May be repeated."),

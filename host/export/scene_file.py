@@ -17,7 +17,7 @@ from raygrid.host.export.povray import export_pov
 from raygrid.host.files.input_guard import check_outputs, note, noted
 from raygrid.host.image.outputs import check_path, write_whole
 from raygrid.host.scene.animation.scene_frames import frame_told, still
-from raygrid.host.scene.load import load_scene
+from raygrid.host.scene.load import check_name, load_scene
 from raygrid.host.scene.scene import Scene
 from raygrid.host.scene.view import GivenView
 from raygrid.host.text.misuse import OutputMisuse
@@ -50,6 +50,8 @@ def export_file(
     Raises SceneError and OutputError.
     """
     source = Path(scene) if isinstance(scene, str | os.PathLike) else None
+    if source is not None:
+        check_name(str(scene))
     path = f"{'scene' if source is None else source.stem}.pov" if output is None else str(output)
     suffix = Path(path).suffix.lower()
     check_path(path)
