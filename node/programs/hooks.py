@@ -164,7 +164,7 @@ def _spawn_shadows(cell, space, frame, material, depth, sample, p, g, n, mirror,
 
 @part
 def edge_colour(frame, d):
-    """As `step.edge_colour`, over the program's background if it has one."""
+    """As `shading.edge_colour`, over the program's background if it has one."""
     red, green, blue = background(d)
     if red == -1.0 and green == -1.0 and blue == -1.0:
         red, green, blue = frame.background

@@ -22,8 +22,6 @@ import ast
 import contextlib
 import fcntl
 import hashlib
-import os
-import secrets
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
@@ -184,9 +182,7 @@ def _directory(program: Program) -> Iterator[Path]:
                 f"the program {program.name} cannot be compiled: {place} cannot be written; {cache.REMEDY}"
             )
         if not file.exists():
-            written = place / f".{secrets.token_hex(6)}"
-            written.write_text(program.source)
-            os.replace(written, file)
+            cache.write_whole(str(file), program.source.encode())
         with open(place / "lock", "wb") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             yield file

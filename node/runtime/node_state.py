@@ -24,6 +24,7 @@ from raygrid.node.runtime.event_loop import LOOP_PACKETS, run_loop
 from raygrid.node.runtime.increments import Increments
 from raygrid.node.runtime.native_links import no_native_links
 from raygrid.node.runtime.node_tables import NodeTables, Tuning
+from raygrid.node.runtime.timers import make_timers
 from raygrid.node.tracing.batch import ADMIT_AT_ONCE, ADMIT_BELOW, BATCH_CROWDED, BATCH_IDLE, BATCH_RAYS, PORTION
 from raygrid.node.tracing.framebuffer import Pixels, make_pixels, send_pixels
 from raygrid.node.tracing.local_geometry import build_surfaces, empty_surfaces, refit_surfaces
@@ -57,7 +58,7 @@ class NodeState:
         self.program: Compiled | None = None
         self.ready: Compiled | None = None  # a program that is to be used next
         self.run_loop = run_loop
-        self.native = no_native_links()
+        self.native, self.timers = no_native_links(), make_timers(False)
         self._tuning = Tuning.rows()
         self.tuning = Tuning.view(self._tuning)
         self.tuning.batch_packets, self.tuning.loop_packets = BATCH_RAYS, LOOP_PACKETS
@@ -191,19 +192,20 @@ class NodeState:
             spawned = PORTION * max(self.frame.n_lights, 2)
             self.work_queues.make_room(0, spawned, max(spawned, ADMIT_AT_ONCE))
         self.tuning.may_wait = wait
-        self.quota, why = self.run_loop(self._tables(), self.quota)
+        self.quota, why = self.run_loop(self.tables(), self.quota)
         self._crowded = why == BATCH_CROWDED
         self.samples_left = self.samples_left and int(self.cursor[DONE]) == 0
         if self.collecting >= 0 and self.work_queues.held == 0:
             self._send_pixels()
         return int(why)
 
-    def _tables(self) -> NodeTables:
+    def tables(self) -> NodeTables:
+        """What compiled code works on, in a node with a frame."""
         assert self.cell is not None and self.space is not None and self.frame is not None and self.pixels is not None
         queues = self.work_queues
         return NodeTables(
             self.cell, self.space, self.frame, self.surfaces, self.pixels, self.cursor, self._tuning,
-            queues.bounds, queues.stacks, queues.count, self.outputs, self.counts, self.native,
+            queues.bounds, queues.stacks, queues.count, self.outputs, self.counts, self.native, self.timers,
         )  # fmt: skip
 
     def _send_pixels(self) -> None:

@@ -12,6 +12,7 @@ from raygrid.node.geometry.surface_tables import Surfaces
 from raygrid.node.jit.records import Record, Rows, record
 from raygrid.node.protocol.frame_tables import Frame
 from raygrid.node.runtime.native_links import NativeLinks
+from raygrid.node.runtime.timers import Timers
 from raygrid.node.tracing.framebuffer import Pixels
 from raygrid.node.tracing.output_queues import Outputs
 from raygrid.node.tracing.work_queues import Stacks
@@ -65,3 +66,4 @@ class NodeTables(NamedTuple):
     outputs: Outputs
     counts: NDArray[np.int64]
     native: NativeLinks
+    timers: Timers

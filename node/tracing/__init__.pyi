@@ -20,13 +20,11 @@ from .primaries import new_cursor as new_cursor
 from .primaries import spawn_primaries as spawn_primaries
 from .primaries import spawn_primary as spawn_primary
 from .primaries import spawn_sample as spawn_sample
+from .shading import edge_colour as edge_colour
 from .shading import light_direction as light_direction
 from .shading import normals as normals
 from .shading import place as place
 from .shading import refract as refract
-from .step import edge_colour as edge_colour
-from .traverse import FAREST as FAREST
 from .traverse import closest as closest
-from .traverse import for_boxes as for_boxes
 from .work_queues import BYTES_A_PACKET as BYTES_A_PACKET
 from .work_queues import FIRST_QUEUE_ROOM as FIRST_QUEUE_ROOM

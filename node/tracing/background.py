@@ -11,7 +11,7 @@ import numpy as np
 from raygrid.node.jit.decorators import kernel
 from raygrid.node.tracing.camera import entry, eye_ray, image_point
 from raygrid.node.tracing.framebuffer import fixed_point
-from raygrid.node.tracing.step import edge_colour
+from raygrid.node.tracing.shading import edge_colour
 
 
 @kernel

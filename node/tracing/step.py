@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from raygrid.node.geometry.bvh_boxes import for_boxes
 from raygrid.node.geometry.grid_walk import (
     HOST,
     NO_PORT,
     inverse,
-    is_walking,
+    is_before_start,
     leaves_array,
     passage,
     towards_cell,
@@ -41,9 +42,9 @@ from raygrid.node.protocol.packets import (
     read_u24,
     read_u32,
     read_weight,
-    unit_vector,
     unpack_shadow_weight,
 )
+from raygrid.node.protocol.packing import unit_vector
 from raygrid.node.tracing.output_queues import (
     emit,
     fullest,
@@ -65,9 +66,9 @@ from raygrid.node.tracing.ray_setup import (
     set_up_rays,
     take_root,
 )
-from raygrid.node.tracing.shading import light_direction, light_discs, light_intensity, normals, place, refract
+from raygrid.node.tracing.shading import edge_colour, light_direction, light_intensity, normals, place, refract
 from raygrid.node.tracing.spawn import RAY_BATCH, SHADOW_BATCH
-from raygrid.node.tracing.traverse import blocked_below, closest_below, for_boxes, open_root
+from raygrid.node.tracing.traverse import blocked_below, closest_below, open_root
 
 # what is done with a packet, by its kind
 WALKS_ON, SHADOWS_ON, SETTLES = 0, 1, 2
@@ -150,13 +151,6 @@ def _at_edge(cell, space, frame, pixels, packets, at, kind, d, outputs, counts):
 
 
 @part
-def edge_colour(frame, d):
-    """Colour of a ray that leaves the scene in direction d: the background, or the disc of a light."""
-    red, green, blue = frame.background
-    return light_discs(frame, d, red, green, blue)
-
-
-@part
 def _set_up(cell, space, frame, packets, at, port, kind):
     """Set up a ray or shadow ray before any surface is looked at: (way, o, d, inv, t_in, t_out, distance).
 
@@ -170,7 +164,7 @@ def _set_up(cell, space, frame, packets, at, port, kind):
         d, distance = unit_vector(read_u24(packets, at + 14), read_u24(packets, at + 17)), np.inf
     inv = (inverse(d[0]), inverse(d[1]), inverse(d[2]))
     t_in, t_out, way = passage(cell, o, inv)
-    if not is_walking(cell, origin, port) and towards_start(cell, origin) != NO_PORT:
+    if is_before_start(cell, origin, port):
         way = NOT_AT_START
     return way, o, d, inv, t_in, t_out, distance
 
