@@ -13,7 +13,8 @@ from sys import modules
 
 
 def read_stub(text: str) -> dict[str, str]:
-    """Read what a stub lists: name -> the module of the package that has it. Raises ValueError for a line of another form."""
+    """Read what a stub lists: name -> the module of the package that has it, "" for a
+    module itself. Raises ValueError for a line of another form."""
     found = {}
     for line in text.splitlines():
         module, _, name = line.removeprefix("from .").partition(" import ")
@@ -37,7 +38,8 @@ def face(package: str, file: str) -> tuple[Callable[[str], object], Callable[[],
     def get(name: str) -> object:
         if name.startswith("__") or name not in names():
             raise AttributeError(f"{package} gives no {name}")
-        value = getattr(import_module(f"{package}.{names()[name]}"), name)
+        module = names()[name]
+        value = getattr(import_module(f"{package}.{module}"), name) if module else import_module(f"{package}.{name}")
         setattr(modules[package], name, value)  # so that it is asked for once
         return value
 

@@ -237,8 +237,10 @@ def _move(done, crossed, shape, planes, axis, k, unit, order):
     for at in range(below + 1, above):
         p0, t0 = _slab(done, crossed, shape, planes, axis, below, at, unit, order)
         p1, t1 = _slab(done, crossed, shape, planes, axis, at, above, unit, order)
-        largest = unit * (powers + p0 + p1) ** (1.0 / (1 << order))
-        cost = largest + TOTAL_SHARE * (total + t0 + t1) / (shape[0] * shape[1] * shape[2])
+        root = powers + p0 + p1
+        for _ in range(order):
+            root = np.sqrt(root)  # exactly rounded, unlike a power: the same planes on every computer
+        cost = unit * root + TOTAL_SHARE * (total + t0 + t1) / (shape[0] * shape[1] * shape[2])
         if cost < least * (1.0 - 1e-12):
             best, least = at, cost
     planes[axis, k] = best

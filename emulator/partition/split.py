@@ -85,7 +85,10 @@ def _uniform(cells: int) -> Line:
 def _quantiles(cells: int, measure: F64) -> Line:
     """Planes between which there is the same of a measure, float64 (SLICES,)."""
     total = np.concatenate(([0.0], np.cumsum(measure)))
-    quantiles = np.interp(np.arange(1, cells) / cells * total[-1], total, np.arange(SLICES + 1))
+    wanted = np.arange(1, cells) / cells * total[-1]
+    below = np.minimum(np.searchsorted(total, wanted, "right") - 1, SLICES - 1)
+    # numpy's interpolation may fuse this sum with its product, and then the planes are others
+    quantiles = 1.0 / (total[below + 1] - total[below]) * (wanted - total[below]) + below
     return _apart(np.concatenate(([0], np.round(quantiles * (LATTICE / SLICES)).astype(np.int64), [LATTICE])))
 
 

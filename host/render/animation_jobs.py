@@ -177,6 +177,7 @@ def _rests(scene: Scene, shot: Animation, world: World) -> dict[int, World]:
     for group, parts in boxes.items():
         box = np.stack((np.min(parts, axis=0)[0], np.max(parts, axis=0)[1]))
         longest = float((box[1] - box[0]).max()) / 2.0
-        scale = 2.0 ** -math.ceil(math.log2(longest)) if longest > 0.0 else world.scale
+        part, exponent = math.frexp(longest)  # exact on every computer; a logarithm need not be
+        scale = math.ldexp(1.0, (part == 0.5) - exponent) if longest > 0.0 else world.scale
         found[group] = World(box.mean(axis=0), scale, world.step)
     return found

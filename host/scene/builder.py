@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from raygrid.host.scene.linear_algebra import lengths
 from raygrid.host.scene.polygons import (
     Ints,
     convex_polygons,
@@ -20,7 +21,18 @@ from raygrid.host.scene.polygons import (
 )
 from raygrid.host.scene.smooth_normals import CREASE, MOST_SMOOTHED, crease_for, smooth_normals
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry import F64, MAX_MATERIALS, MAX_SURFACES, STRIDE, AnyKind, Batch, Kind, SurfaceSet, merge
+from raygrid.node.geometry import (
+    F64,
+    MAX_MATERIALS,
+    MAX_SURFACES,
+    STRIDE,
+    AnyKind,
+    Batch,
+    Kind,
+    SurfaceSet,
+    merge,
+    rounded,
+)
 from raygrid.node.protocol import MATERIAL_RECORD
 
 Table = NDArray[np.void]
@@ -303,18 +315,20 @@ def _distinct(rows: Table, used: NDArray[np.bool_], apart: Ints) -> tuple[Table,
 
 def _rounded(colours: F64, levels: int) -> F64:
     """Linear colours rounded to so many levels a primary, evenly to the eye."""
-    return np.asarray((np.round(colours ** (1 / 2.2) * (levels - 1)) / (levels - 1)) ** 2.2)
+    shades = np.arange(levels) / (levels - 1)
+    rounds = np.array([rounded.power(shade, 2.2) for shade in (shades[1:] + shades[:-1]) / 2.0])  # up from here
+    return np.asarray([rounded.power(shade, 2.2) for shade in shades])[np.searchsorted(rounds, colours, "right")]
 
 
 def _with_unit_normals(data: F64) -> F64:
     """SMOOTH data with its normals made unit vectors; where one has no length the triangle's own takes its place."""
     corners, normals = data[:, :9].reshape(-1, 3, 3), data[:, 9:].reshape(-1, 3, 3)
-    length = np.linalg.norm(normals, axis=2, keepdims=True)
+    length = lengths(normals)[..., None]
     lost = length[..., 0] < 1e-12
     units = normals / np.where(lost[..., None], 1.0, length)
     if lost.any():
         faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        faces /= np.linalg.norm(faces, axis=1, keepdims=True)
+        faces /= lengths(faces)[:, None]
         units = np.where(lost[..., None], faces[:, None], units)
     return np.concatenate((data[:, :9], units.reshape(-1, 9)), axis=1)
 

@@ -19,7 +19,9 @@ from enum import Enum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from raygrid.host.scene.linear_algebra import dot, lengths
 from raygrid.node.errors import SceneError
+from raygrid.node.geometry import rounded
 from raygrid.node.protocol import CAMERA_RECORD
 
 Vector = tuple[float, float, float]
@@ -155,8 +157,8 @@ def fitted_camera(bounds: ArrayLike, up: Vector, front: Vector | None, stand: st
     low, high = np.asarray(bounds, np.float64)
     upward = np.asarray(up, np.float64)
     upward = upward / np.abs(upward).max()
-    upward /= np.linalg.norm(upward)
-    if front is None or abs(np.array(front) @ upward) > 0.99:
+    upward = upward / lengths(upward)
+    if front is None or abs(dot(np.array(front), upward)) > 0.99:
         front = usual_front(upward)
     ahead = np.array(_level(np.array(front), upward))
     to_front, to_right, to_up = STANDS[stand]
@@ -167,9 +169,9 @@ def fitted_camera(bounds: ArrayLike, up: Vector, front: Vector | None, stand: st
     half = _half_angle(fov)
     corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     offsets = corners - centre
-    reach = np.maximum(np.abs(offsets @ right), np.abs(offsets @ lift)) * FRAME_MARGIN
+    reach = np.maximum(np.abs(dot(offsets, right)), np.abs(dot(offsets, lift))) * FRAME_MARGIN
     parallel = stand == "iso"
-    deep = offsets @ forward
+    deep = dot(offsets, forward)
     distance = float(np.max(reach) - deep.min()) if parallel else float(np.max(reach / half - deep))
     # A scene of one point has no size to frame: stay so far away that the eye is another point, rounded too.
     eye = centre - forward * (max(distance, 1e-6 * float(np.abs(centre).max())) or 1.0)
@@ -200,10 +202,10 @@ def _is_vertical(up: NDArray[np.float64]) -> bool:
 
 def _level(towards: NDArray[np.float64], up: NDArray[np.float64]) -> Vector:
     """The direction next to `towards` that is perpendicular to `up`; another axis takes its place if they are parallel."""
-    unit = up / np.linalg.norm(up)
+    unit = up / lengths(up)
     for direction in (towards, np.array((1.0, 0.0, 0.0))):
-        level = direction - (direction @ unit) * unit
-        length = float(np.linalg.norm(level))
+        level = direction - dot(direction, unit) * unit
+        length = float(lengths(level))
         if length > 1e-3:
             break
     return _triple(level / length)
@@ -216,7 +218,7 @@ def _half_angle(angle: float) -> float:
         raise SceneError(
             f"the camera's angle is {angle!r} degrees, wanted at most {WIDEST:g}: wider loses its own axis"
         )
-    return math.tan(math.radians(angle) / 2.0)
+    return rounded.tan(math.radians(angle) / 2.0)
 
 
 def _frame(eye: ArrayLike, at: ArrayLike, up: ArrayLike) -> tuple[Vector, Vector, Vector, Vector]:
@@ -225,16 +227,16 @@ def _frame(eye: ArrayLike, at: ArrayLike, up: ArrayLike) -> tuple[Vector, Vector
     if not np.isfinite(np.concatenate((start, aim, above))).all():
         raise SceneError("the camera has a number that is not finite in its eye, its aim or its up")
     view = aim - start
-    length = float(np.linalg.norm(view))
+    length = float(lengths(view))
     if not length > 1e-12 * float(np.abs(start).max()):
         raise SceneError(f"the camera looks from {_shown(start)} at that same point, wanted two different points")
     forward = view / length
     largest = float(np.abs(above).max())
     if largest > 0.0 and not 1e-100 < largest < 1e100:  # its square may be no number
         above = np.ldexp(above, -math.frexp(largest)[1])
-    tall = float(np.linalg.norm(above))
+    tall = float(lengths(above))
     sideways = np.cross(forward, above / tall) if tall > 0.0 else np.zeros(3)
-    width = float(np.linalg.norm(sideways))
+    width = float(lengths(sideways))
     if not width > 1e-9:
         raise SceneError(f"the camera's up {_shown(above)} is parallel to its view, wanted another direction")
     right = sideways / width

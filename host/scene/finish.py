@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from raygrid.host.scene.builder import SceneBuilder
 from raygrid.host.scene.cameras import Camera, Vector, look_at_everything, usual_front
 from raygrid.host.scene.lights import INVENTED_BACKGROUND, invented_lights
+from raygrid.host.scene.linear_algebra import dot
 from raygrid.host.scene.scene import Colour, Scene
 from raygrid.host.text.standard_streams import shown_name
 from raygrid.node.geometry import Kind, SurfaceSet
@@ -77,11 +78,11 @@ def found_front(surfaces: SurfaceSet, up: Vector) -> Vector:
     """The side that is most likely the front of a mesh whose file does not say: the usual one, or the one opposite, if in
     the half on that side lie clearly more triangles. Where a body has its face it has most detail."""
     usual = np.array(usual_front(up))
-    deep = [batch.data[:, :9].reshape(-1, 3, 3).mean(axis=1) @ usual for batch in surfaces if batch.kind in FACETS]
+    deep = [dot(batch.data[:, :9].reshape(-1, 3, 3).mean(axis=1), usual) for batch in surfaces if batch.kind in FACETS]
     if sum(map(len, deep)) < ENOUGH:
         return usual_front(up)
     depths, bounds = np.concatenate(deep), surfaces.bounds()
-    middle = float(bounds.mean(axis=0) @ usual)
+    middle = float(dot(bounds.mean(axis=0), usual))
     before, behind = int(np.count_nonzero(depths > middle)), int(np.count_nonzero(depths < middle))
     x, y, z = (-usual if behind > CLEARLY * before else usual).tolist()
     return x, y, z

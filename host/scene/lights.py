@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from raygrid.host.scene.cameras import Camera
+from raygrid.host.scene.linear_algebra import dot, lengths, product
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry import F64
+from raygrid.node.geometry import F64, rounded
 from raygrid.node.protocol import DIRECTIONAL, LIGHT_RECORD, POINT
 
 Table = NDArray[np.void]
@@ -43,7 +44,7 @@ def spot_light(
     """A point light that shines along `axis` only: fully within `inner` radians of it, not at all outside `outer`."""
     row = point_light(position, intensity, falloff)
     row["spot"], row["axis"] = 1, _unit(axis)
-    row["cos_inner"], row["cos_outer"] = math.cos(inner), math.cos(outer)
+    row["cos_inner"], row["cos_outer"] = rounded.cos(inner), rounded.cos(outer)
     return row
 
 
@@ -57,7 +58,7 @@ def directional_light(
     row = point_light((0.0, 0.0, 0.0), intensity)
     row["kind"], row["place"] = DIRECTIONAL, _unit(towards)
     if disc_radius is not None:
-        row["cos_disc"], row["disc"] = math.cos(disc_radius), disc
+        row["cos_disc"], row["disc"] = rounded.cos(disc_radius), disc
     return row
 
 
@@ -71,8 +72,8 @@ def invented_lights(camera: Camera) -> Table:
     axes = np.array((camera.right, camera.up, camera.forward))
     return light_table(
         [
-            directional_light(np.array(KEY_TOWARDS) @ axes, KEY),
-            directional_light(np.array(FILL_TOWARDS) @ axes, FILL),
+            directional_light(product(np.array(KEY_TOWARDS), axes), KEY),
+            directional_light(product(np.array(FILL_TOWARDS), axes), FILL),
         ]
     )
 
@@ -83,7 +84,7 @@ def exposure_point(camera: Camera, bounds: F64) -> F64:
     If that is behind the camera, the middle itself.
     """
     middle, eye, forward = bounds.mean(axis=0), np.array(camera.eye), np.array(camera.forward)
-    distance = float((middle - eye) @ forward)
+    distance = float(dot(middle - eye, forward))
     return eye + distance * forward if distance > 0.0 else middle
 
 
@@ -113,4 +114,4 @@ def _unit(vector: ArrayLike) -> F64:
         not 1e-100 < largest < 1e100
     ):  # its square may be no number: made about 1 by a power of two, which changes no digit
         v = np.ldexp(v, -math.frexp(largest)[1])
-    return np.asarray(v / float(np.linalg.norm(v)))
+    return np.asarray(v / float(lengths(v)))

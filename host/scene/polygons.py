@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.host.scene.ear_clipping import CONVEX, clip_ears
+from raygrid.host.scene.linear_algebra import dot, lengths
 from raygrid.node.geometry import F64
 
 Ints = NDArray[np.int64]
@@ -23,8 +24,8 @@ FLATNESS = 1e-7
 def flat_triangles(corners: F64) -> Mask:
     """Find which of the triangles, (n, 3, 3), have no area, (n,)."""
     edges = corners[:, (1, 2, 0)] - corners
-    doubled = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    longest = np.einsum("nij,nij->ni", edges, edges).max(axis=1, initial=0.0)
+    doubled = lengths(np.cross(edges[:, 0], edges[:, 1]))
+    longest = dot(edges, edges).max(axis=1, initial=0.0)
     return np.asarray(doubled <= NO_AREA * longest)
 
 
@@ -39,14 +40,14 @@ def area_vectors(points: F64, starts: Ints) -> F64:
 def extents(points: F64, starts: Ints) -> F64:
     """Diagonals of the polygons' boxes, (n,)."""
     low = np.minimum.reduceat(points, starts[:-1], axis=0)
-    return np.asarray(np.linalg.norm(np.maximum.reduceat(points, starts[:-1], axis=0) - low, axis=1))
+    return np.asarray(lengths(np.maximum.reduceat(points, starts[:-1], axis=0) - low))
 
 
 def flat_polygons(points: F64, starts: Ints) -> Mask:
     """Find which of the polygons have no area, (n,)."""
     if len(starts) < 2:
         return np.zeros(0, np.bool_)
-    doubled = np.linalg.norm(area_vectors(points, starts), axis=1)
+    doubled = lengths(area_vectors(points, starts))
     return np.asarray(doubled <= NO_AREA * extents(points, starts) ** 2)
 
 
@@ -59,7 +60,7 @@ def planar_polygons(points: F64, starts: Ints, most: float | F64 = np.inf) -> Ma
     normals = _unit(area_vectors(points, starts))
     middles = np.add.reduceat(points, starts[:-1], axis=0) / sizes[:, None]
     offsets = points - np.repeat(middles, sizes, axis=0)
-    heights = np.abs(np.einsum("pi,pi->p", offsets, np.repeat(normals, sizes, axis=0)))
+    heights = np.abs(dot(offsets, np.repeat(normals, sizes, axis=0)))
     largest = np.maximum.reduceat(np.abs(points).max(axis=1), starts[:-1])
     allowed = np.minimum(FLATNESS * (extents(points, starts) + largest), most)
     return np.asarray(np.maximum.reduceat(heights, starts[:-1]) <= allowed)
@@ -79,8 +80,8 @@ def convex_polygons(points: F64, starts: Ints) -> Mask:
     normals = np.repeat(_unit(area_vectors(points, starts)), sizes, axis=0)
     edges = points[_following(starts)] - points
     ahead = edges[_following(starts)]
-    turn = np.einsum("pi,pi->p", np.cross(edges, ahead), normals)
-    straight = np.einsum("pi,pi->p", edges, ahead)
+    turn = dot(np.cross(edges, ahead), normals)
+    straight = dot(edges, ahead)
     # Left turns only is not enough: a pentagram turns left at every corner, but twice around.
     around = np.add.reduceat(np.arctan2(turn, straight), starts[:-1])
     left = np.minimum.reduceat(turn + CONVEX * np.hypot(turn, straight), starts[:-1]) >= 0.0
@@ -117,7 +118,7 @@ def _following(starts: Ints) -> Ints:
 
 
 def _unit(vectors: F64) -> F64:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    length = lengths(vectors)[:, None]
     return np.asarray(vectors / np.where(length > 0.0, length, 1.0))
 
 

@@ -17,13 +17,19 @@ from contextvars import ContextVar
 import numpy as np
 from numpy.typing import NDArray
 
+from raygrid.host.scene.linear_algebra import dot, lengths
 from raygrid.host.scene.polygons import Ints, Mask
-from raygrid.node.geometry import F64
+from raygrid.node.geometry import F64, rounded
 
 CREASE = 40.0  # degrees: cylinders of ten sides are round, icosahedra (41.8) are not
 MOST_SMOOTHED = 1 << 22  # triangles: beyond, facets are too small to be seen, and smooth ones take twice the memory
 EVEN = 1e-6  # radians: normals this near to the triangle's own are that
 TURNED = 0.05  # cosine: a mean that leaves its triangle so far has nothing to do with it
+
+ARC_COSINE = (
+    *(1.5707963050, -0.2145988016, 0.0889789874, -0.0501743046),
+    *(0.0308918810, -0.0170881256, 0.0066700901, -0.0012624911),
+)
 
 _asked: ContextVar[float | None] = ContextVar("asked", default=None)
 _of_file: ContextVar[float | None] = ContextVar("of_file", default=None)
@@ -67,16 +73,16 @@ def smooth_normals(corners: F64, crease: float) -> tuple[F64, Mask]:
         return np.zeros_like(corners), np.zeros(len(corners), np.bool_)
     normals, angles = _measured(corners / largest)
     points = _places(corners)
-    first, second = _smooth_edges(points, normals, math.cos(math.radians(crease)) - 1e-12)
+    first, second = _smooth_edges(points, normals, rounded.cos(math.radians(crease)) - 1e-12)
     groups = _joined(first, second, 3 * len(corners))
     weighted = normals[:, None] * angles[..., None]
     sums: F64 = np.stack(
         [np.bincount(groups, weighted[..., k].reshape(-1), 3 * len(corners)) for k in range(3)], axis=1
     )
     means = _units(sums)[groups].reshape(-1, 3, 3)
-    cosines = np.einsum("nij,nj->ni", means, normals)
+    cosines = dot(means, normals[:, None])
     means = np.where((cosines > TURNED)[..., None], means, normals[:, None])
-    bent = np.linalg.norm(means - normals[:, None], axis=2).max(axis=1) > EVEN
+    bent = lengths(means - normals[:, None]).max(axis=1) > EVEN
     return means, np.asarray(bent & normals.any(axis=1))
 
 
@@ -85,13 +91,23 @@ def _measured(corners: F64) -> tuple[F64, F64]:
     edges = corners[:, (1, 2, 0)] - corners
     normals = _units(np.cross(edges[:, 0], edges[:, 1]))
     units = _units(edges)
-    cosines = -np.einsum("nij,nij->ni", units, units[:, (2, 0, 1)])
+    cosines = -dot(units, units[:, (2, 0, 1)])
     has_area = np.any(normals != 0.0, axis=1)
-    return normals, np.arccos(np.clip(cosines, -1.0, 1.0)) * has_area[:, None]
+    return normals, _angles(np.clip(cosines, -1.0, 1.0)) * has_area[:, None]
+
+
+def _angles(cosines: F64) -> F64:
+    """Arc cosines to 2e-8 radians, with the same bits on every computer (Abramowitz and Stegun 1964, 4.4.46)."""
+    size = np.abs(cosines)
+    series = np.full_like(size, ARC_COSINE[-1])
+    for coefficient in ARC_COSINE[-2::-1]:
+        series = series * size + coefficient
+    angles = np.sqrt(1.0 - size) * series
+    return np.asarray(np.where(cosines < 0.0, math.pi - angles, angles))
 
 
 def _units(vectors: F64) -> F64:
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    length = lengths(vectors)[..., None]
     return np.asarray(np.where(length > 0.0, vectors / np.where(length > 0.0, length, 1.0), 0.0))
 
 
@@ -119,7 +135,7 @@ def _smooth_edges(points: Ints, normals: F64, least: float) -> tuple[Ints, Ints]
     alone = np.concatenate(([False], same)), np.concatenate((same, [False]))
     pair = same & ~alone[0][:-1] & ~alone[1][1:]
     one, other = order[:-1][pair], order[1:][pair]
-    bends = np.einsum("ni,ni->n", normals[one // 3], normals[other // 3])
+    bends = dot(normals[one // 3], normals[other // 3])
     smooth = (here[one] == there[other]) & (here[one] != there[one]) & (bends >= least)
     one, other = one[smooth], other[smooth]
     return np.concatenate((one, _following(one))), np.concatenate((_following(other), other))

@@ -11,6 +11,7 @@ import io
 import warnings
 from dataclasses import dataclass
 from enum import Enum
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from raygrid.host.scene.builder import Table
 from raygrid.host.scene.file_access import take_texels
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry import F64
+from raygrid.node.geometry import F64, rounded
 
 Bytes = NDArray[np.uint8]
 Ints = NDArray[np.int64]
@@ -111,15 +112,21 @@ def bake(row: Table, colours: Bytes, tints: tuple[str, ...] = ("diffuse",)) -> t
 
 def linear(srgb: F64) -> F64:
     """sRGB from 0 to 1 made linear."""
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((np.maximum(srgb, 0.04045) + 0.055) / 1.055) ** 2.4)
+    values, place = np.unique(srgb, return_inverse=True)
+    return np.array([_linear(value) for value in values.tolist()])[place].reshape(np.shape(srgb))
+
+
+@cache
+def _linear(srgb: float) -> float:
+    return srgb / 12.92 if srgb <= 0.04045 else rounded.power((srgb + 0.055) / 1.055, 2.4)
 
 
 def as_bytes(colours: F64, is_linear: bool = False) -> Bytes:
     """Colours from 0 to 1, sRGB or linear, as sRGB bytes."""
     clipped = np.clip(colours, 0.0, 1.0)
     if is_linear:
-        bright = 1.055 * np.maximum(clipped, 0.0031308) ** (1 / 2.4) - 0.055
-        clipped = np.where(clipped <= 0.0031308, 12.92 * clipped, bright)
+        least = [_linear((byte - 0.5) / 255.0) for byte in range(1, 256)]  # of each byte
+        return np.searchsorted(least, clipped, "right").astype(np.uint8)
     return np.round(255.0 * clipped).astype(np.uint8)
 
 

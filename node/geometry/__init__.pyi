@@ -1,3 +1,4 @@
+from . import rounded as rounded
 from .bvh import COUNT_SHIFT as COUNT_SHIFT
 from .bvh import DEPTH as DEPTH
 from .bvh import FIRST_MASK as FIRST_MASK

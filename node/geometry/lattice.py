@@ -208,9 +208,6 @@ def world_around(bounds: NDArray[np.float64]) -> World:
             "move them nearer"
         )
     half = half + 2.0 * WIDEN * longest
-    scale = 2.0 ** -math.ceil(math.log2(float(half.max())))
-    half = half * scale
-    if float(half.max()) >= 1.0:  # half edge exactly a power of two
-        scale, half = scale / 2.0, half / 2.0
-    step = half / HALF
+    scale = math.ldexp(1.0, -math.frexp(float(half.max()))[1])  # exact on every computer; a logarithm need not be
+    step = half * scale / HALF
     return World(centre, scale, (float(step[0]), float(step[1]), float(step[2])))

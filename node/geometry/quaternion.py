@@ -11,6 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from raygrid.node.geometry import rounded
+
 F64 = NDArray[np.float64]
 
 
@@ -53,7 +55,7 @@ def quaternion_of_angles(degrees: Sequence[float] | F64) -> F64:
     for axis, angle in enumerate(degrees):
         half = math.radians(float(angle)) / 2.0
         about = np.zeros(4)
-        about[0], about[1 + axis] = math.cos(half), math.sin(half)
+        about[0], about[1 + axis] = rounded.cos(half), rounded.sin(half)
         turn = quaternion_products(about, turn)
     return turn
 
@@ -85,5 +87,6 @@ def slerp(one: F64, other: F64, part: float) -> F64:
         other, cosine = -other, -cosine
     if cosine > 1.0 - 1e-9:
         return unit_quaternions(one + (other - one) * part)
-    angle = np.arccos(min(cosine, 1.0))
-    return unit_quaternions((np.sin((1.0 - part) * angle) * one + np.sin(part * angle) * other) / np.sin(angle))
+    angle = rounded.acos(min(cosine, 1.0))
+    shares = rounded.sin((1.0 - part) * angle), rounded.sin(part * angle)
+    return unit_quaternions((shares[0] * one + shares[1] * other) / rounded.sin(angle))

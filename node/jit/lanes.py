@@ -241,11 +241,11 @@ Declared: TypeAlias = Any
 Staged: TypeAlias = Any  # what a formula is given of a named tuple: one of its class, of Lanes and Memory
 
 
-class Array:
+class FlatArray:
     """Declares an array of one of the kinds, which a formula is given as `Memory`."""
 
 
-ARRAY = Array()
+ARRAY = FlatArray()
 VECTOR = (F64, F64, F64)
 LATTICE_POINT = (I64, I64, I64)
 

@@ -15,7 +15,21 @@ from llvmlite import ir
 from numba.core import cgutils, types
 
 from raygrid.node.jit.intrinsics import element
-from raygrid.node.jit.lanes import BIT, EIGHT, F32, F64, FLOATS, I32, I64, U8, Array, Declared, Lanes, Memory, Number
+from raygrid.node.jit.lanes import (
+    BIT,
+    EIGHT,
+    F32,
+    F64,
+    FLOATS,
+    I32,
+    I64,
+    U8,
+    Declared,
+    FlatArray,
+    Lanes,
+    Memory,
+    Number,
+)
 
 _TYPES = {F64: ir.DoubleType(), F32: ir.FloatType(), I64: ir.IntType(64), I32: ir.IntType(32), U8: ir.IntType(8)}
 _TYPES[BIT] = ir.IntType(1)
@@ -192,7 +206,7 @@ def type_of(declared: Declared, came: Any) -> Any:
 
     Raises TypeError if what came is no contiguous array where one is declared.
     """
-    if isinstance(declared, Array):
+    if isinstance(declared, FlatArray):
         if not isinstance(came, types.Array) or came.layout != "C":
             raise TypeError(f"{came} is no contiguous array")
         return came
@@ -229,7 +243,7 @@ class Codegen:
             if isinstance(declared, tuple):
                 parts = [given(part, kind[k], self._builder.extract_value(value, k)) for k, part in enumerate(declared)]
                 return type(declared)(*parts) if hasattr(declared, "_fields") else tuple(parts)
-            if isinstance(declared, Array):
+            if isinstance(declared, FlatArray):
                 return LlvmMemory(self._context, self._builder, kind, value, lane)
             return LlvmLanes(self._builder, value, declared)
 

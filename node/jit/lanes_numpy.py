@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.node.jit.lanes import BIT, F64, FLOATS, I64, Array, Declared, Lanes, Memory, Number, mapped
+from raygrid.node.jit.lanes import BIT, F64, FLOATS, I64, Declared, FlatArray, Lanes, Memory, Number, mapped
 
 _DTYPES = {name: np.dtype(name) for name in ("float64", "float32", "int64", "int32", "uint8", "bool")}
 _BITS_OF = {"float64": "int64", "float32": "int32"}
@@ -145,7 +145,7 @@ def interpret(
     """
 
     def given(declared: Declared, value: Any) -> Any:
-        if isinstance(declared, Array):
+        if isinstance(declared, FlatArray):
             return NumpyMemory(value, lanes)
         whole = np.asarray(value).dtype.kind not in "fiub" or (
             declared not in FLOATS and np.asarray(value).dtype.kind == "f"

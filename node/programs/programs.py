@@ -34,6 +34,7 @@ import numpy as np
 from raygrid.node.errors import ProtocolError
 from raygrid.node.jit import cache
 from raygrid.node.jit.decorators import part
+from raygrid.node.programs.powers import with_safe_powers
 
 HOOKS: dict[str, tuple[str, ...]] = {
     "surface_hits": ("origin", "direction", "numbers"),
@@ -195,7 +196,7 @@ def _linked(program: Program, file: Path) -> Compiled:
     sys.modules[module.__name__] = module  # numba imports it by this name when it takes a function from the cache
     own = module.__dict__
     own["__file__"] = str(file)
-    exec(compile(program.source, str(file), "exec"), own)
+    exec(compile(with_safe_powers(program.source, own), str(file), "exec"), own)
     for name, value in list(own.items()):
         if callable(value) and getattr(value, "__module__", None) == own["__name__"]:
             own[name] = part(value)

@@ -15,6 +15,7 @@ from .counters import HOMES as HOMES
 from .counters import SENT as SENT
 from .counters import TESTS as TESTS
 from .counters import WALKS as WALKS
+from .decoding import decode as decode
 from .frame import CAMERA_RECORD as CAMERA_RECORD
 from .frame import DIRECTIONAL as DIRECTIONAL
 from .frame import LIGHT_RECORD as LIGHT_RECORD
@@ -50,7 +51,6 @@ from .packets import SHADOW as SHADOW
 from .packets import SIZE as SIZE
 from .packets import PacketKind as PacketKind
 from .packets import add_pixels as add_pixels
-from .packets import decode as decode
 from .packets import put_pixel as put_pixel
 from .packets import read_u16 as read_u16
 from .packets import read_u24 as read_u24

@@ -22,6 +22,7 @@ from raygrid.node.geometry.grid_walk import (
     towards_start,
 )
 from raygrid.node.geometry.lattice import T_MIN
+from raygrid.node.geometry.power import power
 from raygrid.node.geometry.spanning_tree import towards_corner_part
 from raygrid.node.jit.decorators import lean, part
 from raygrid.node.protocol.counters import BOXES, DIED, HITS, WALKS
@@ -94,7 +95,7 @@ def _spawn_shadows(cell, space, frame, material, depth, sample, p, g, n, mirror,
         shine = 0.0
         if m[material, HIGHLIGHT] > 0.0 or m[material, HIGHLIGHT + 1] > 0.0 or m[material, HIGHLIGHT + 2] > 0.0:
             along = mirror[0] * to_light[0] + mirror[1] * to_light[1] + mirror[2] * to_light[2]
-            shine = max(along, 0.0) ** m[material, SHINE]
+            shine = power(max(along, 0.0), m[material, SHINE])
         adds = (
             weight[0] * intensity[0] * (m[material, DIFFUSE] * cosine + m[material, HIGHLIGHT] * shine),
             weight[1] * intensity[1] * (m[material, DIFFUSE + 1] * cosine + m[material, HIGHLIGHT + 1] * shine),

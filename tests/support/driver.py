@@ -15,7 +15,7 @@ from raygrid.node.geometry.grid_walk import HOST, OPPOSITE, OUTPUTS, SELF, SELF_
 from raygrid.node.geometry.lattice import Space, make_cell
 from raygrid.node.geometry.overlap import meets
 from raygrid.node.geometry.surfaces import SurfaceSet, merge
-from raygrid.node.protocol import packets
+from raygrid.node.protocol import decoding, packets
 from raygrid.node.protocol.counters import BORN, COUNTS, DIED, HOMES, MISADDRESSED
 from raygrid.node.protocol.frame_tables import Frame, frame_limits
 from raygrid.node.protocol.messages import HEAD
@@ -187,7 +187,7 @@ class Grid:
         self.run(births=False)
         picture = np.zeros((self.frame.width * self.frame.height, 4), np.int64)
         for row in np.concatenate(self.to_host or [np.zeros((0, SIZE), np.uint8)]):
-            packet = packets.decode(row.tobytes())
+            packet = decoding.decode(row.tobytes())
             picture[packet.number] += (*packet.values, packet.samples)
         return picture
 

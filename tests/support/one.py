@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from raygrid.node.geometry.grid_walk import OUTPUTS, SELF
 from raygrid.node.geometry.lattice import HALF, nearest
 from raygrid.node.geometry.surfaces import Kind, merge
-from raygrid.node.protocol import packets
+from raygrid.node.protocol import decoding, packets
+from raygrid.node.protocol.decoding import Packet
 from raygrid.node.protocol.frame_tables import Frame
 from raygrid.node.protocol.messages import HEAD
-from raygrid.node.protocol.packets import SIZE, Packet
+from raygrid.node.protocol.packets import SIZE
 from raygrid.node.protocol.packing import octahedral, pack_weight
 from raygrid.node.tracing.step import step
 from support.driver import Grid
@@ -100,7 +101,7 @@ def serve(
     made = [batch(kind, [np.array(row, float)], k, [material]) for k, (kind, row, material) in enumerate(surfaces)]
     grid = Grid(space_of(shape, EVEN_STEP), merge(made), frame or make_frame(FRONT, SIZE_OF_PICTURE))
     node, outputs = grid.nodes[index], grid.outputs
-    packets.check(data, grid.limits)
+    decoding.check(data, grid.limits)
     rows, ports = np.frombuffer(bytearray(data), np.uint8), np.array([port], np.uint8)
     done = step(node.cell, grid.space, grid.frame, node.surfaces, node.pixels, rows, ports, 0, 1, outputs, node.counts)
     assert done == 1
@@ -110,5 +111,5 @@ def serve(
         flat = outputs.data[output, HEAD : HEAD + held * SIZE].tobytes()
         assert packets.first_fault(outputs.data[output], HEAD, held, grid.limits) == (-1, 0)
         if held:
-            out[output] = [packets.decode(flat[k * SIZE : (k + 1) * SIZE]) for k in range(held)]
+            out[output] = [decoding.decode(flat[k * SIZE : (k + 1) * SIZE]) for k in range(held)]
     return Served(out, node.counts, grid.sums()[:, :3])

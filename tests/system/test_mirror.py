@@ -39,6 +39,7 @@ TESTED_ELSEWHERE: dict[str, dict[str, str]] = {
         "node.jit.lanes": "node/jit/test_formula.py",
         "node.jit.lanes_llvm": "node/jit/test_formula.py",
         "node.jit.lanes_numpy": "node/jit/test_formula.py",
+        "node.protocol.decoding": "node/protocol/test_packets.py",
         "node.protocol.packing": "node/protocol/test_packets.py",
         "node.programs.hooks": "node/programs/test_programs.py",
         "node.runtime.native_links": "node/runtime/test_event_loop.py",

@@ -12,7 +12,7 @@ from raygrid.host.scene.lights import exposure_point
 from raygrid.host.scene.pose import MAX_FRAMES, Animation, Pose
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry import F64, at_rest, make_groups
+from raygrid.node.geometry import F64, at_rest, make_groups, rounded
 
 GROUP = "scene"
 
@@ -56,7 +56,7 @@ class _TurntableMotion:
 
     def pose(self, frame: int) -> Pose:
         angle = 2.0 * np.pi * (frame - 1) / self.frames * (-1.0 if self.turn_scene else 1.0)
-        turn = np.concatenate(([np.cos(angle / 2.0)], np.sin(angle / 2.0) * self.axis))
+        turn = np.concatenate(([rounded.cos(angle / 2.0)], rounded.sin(angle / 2.0) * self.axis))
         by = about(self.middle, turn, 1.0) if frame > 1 else motion()
         scene = self.scene
         if self.turn_scene:

@@ -43,6 +43,7 @@ from raygrid.host.scene.lights import (
     point_light,
     spot_light,
 )
+from raygrid.host.scene.linear_algebra import lengths, product
 from raygrid.host.scene.pose import Animation
 from raygrid.host.scene.scene import Scene
 from raygrid.host.scene.textures import Bytes, as_bytes, bake
@@ -157,7 +158,7 @@ class _GltfReader:
             return None
         bounds = self.builder.finish()[0].bounds()
         camera = camera or look_at_everything(bounds)
-        closest = CLOSEST * float(np.linalg.norm(bounds[1] - bounds[0]))
+        closest = CLOSEST * float(lengths(bounds[1] - bounds[0]))
         self.builder.remarks.append("light intensities scaled: the brightest gives irradiance 1 where the camera looks")
         return exposed(light_table(self.lights), exposure_point(camera, bounds), max(closest, 1e-12))
 
@@ -179,7 +180,7 @@ class _GltfReader:
             if number in seen:
                 raise self.document.error(f"nodes[{number}] is reached twice, wanted a tree of nodes")
             seen.add(number)
-            matrix = parent @ node_matrix(row)
+            matrix = product(parent, node_matrix(row))
             if not (np.abs(matrix) <= MAX_COORDINATE).all():
                 raise self.document.error(f"nodes[{number}] has a transform that is not finite, or beyond 1e30")
             path = (*above, (number, row))

@@ -18,10 +18,11 @@ from raygrid.host.scene.animation.motions import motion
 from raygrid.host.scene.cameras import Camera
 from raygrid.host.scene.formats.gltf_document import Document, JsonObject
 from raygrid.host.scene.lights import Table, light_table
+from raygrid.host.scene.linear_algebra import affine_inverse, determinant, lengths, product
 from raygrid.host.scene.pose import FPS, MAX_FRAMES, Pose
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry import F64, at_rest, quaternion_of_matrix, unit_quaternions
+from raygrid.node.geometry import F64, at_rest, quaternion_of_matrix, rounded, unit_quaternions
 
 WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 UNEVEN = 1e-4  # how far a motion may be from turning and even scaling, as a part of its scale: files hold binary32
@@ -41,12 +42,13 @@ class Spline:
             return np.array(self.rows[min(after, len(self.times) - 1), 1])
         length = self.times[after] - self.times[after - 1]
         p = float((time - self.times[after - 1]) / length)
+        squared, cubed = p * p, p * p * p
         one, other = self.rows[after - 1], self.rows[after]
         return np.asarray(
-            (2 * p**3 - 3 * p * p + 1) * one[1]
-            + (p**3 - 2 * p * p + p) * length * one[2]
-            + (3 * p * p - 2 * p**3) * other[1]
-            + (p**3 - p * p) * length * other[0]
+            (2 * cubed - 3 * squared + 1) * one[1]
+            + (cubed - 2 * squared + p) * length * one[2]
+            + (3 * squared - 2 * cubed) * other[1]
+            + (cubed - squared) * length * other[0]
         )
 
 
@@ -88,7 +90,7 @@ def _track(document: Document, sampler: JsonObject, path: str, where: str) -> tu
             make_keyframes(times, values.reshape(len(times), -1))
             return Spline(times, values.reshape(len(times), 3, -1)), float(times[-1])
         if path == "rotation":
-            length = np.linalg.norm(values, axis=1, keepdims=True)
+            length = lengths(values)[:, None]
             values = np.where(length > 0.0, unit_quaternions(values), (0.0, 0.0, 0.0, 1.0))
         step = "step" if way == "STEP" else "linear"
         return make_keyframes(times, values, step, turns=path == "rotation"), float(times[-1])
@@ -154,21 +156,21 @@ class GltfAnimation:
             if time is not None and tracks:
                 row = row | {path: track.at(time).tolist() for path, track in tracks.items()}
                 row.pop("matrix", None)
-            whole = whole @ self.place(row)
+            whole = product(whole, self.place(row))
         return whole
 
     def _motion(self, part: Part, time: float) -> F64:
         rest, now = self.matrix(part, None), self.matrix(part, time)
         try:
-            by = now @ np.linalg.inv(rest)
+            by = product(now, affine_inverse(rest))
         except np.linalg.LinAlgError:
             raise SceneError(f"{part.name} is flattened by its nodes, so it cannot move") from None
-        determinant = float(np.linalg.det(by[:3, :3]))
-        if not (math.isfinite(determinant) and determinant > 0.0):
+        volume = determinant(by[:3, :3])
+        if not (math.isfinite(volume) and volume > 0.0):
             raise SceneError(f"{part.name} is turned inside out or shrunk to nothing by its animation")
-        scale = determinant ** (1.0 / 3.0)
+        scale = rounded.power(volume, 1.0 / 3.0)
         turn = by[:3, :3] / scale
-        if np.abs(turn.T @ turn - np.eye(3)).max() > UNEVEN:
+        if np.abs(product(turn.T, turn) - np.eye(3)).max() > UNEVEN:
             raise SceneError(f"{part.name} is scaled unevenly by its animation, wanted the same along all axes")
         return motion(quaternion_of_matrix(turn), scale, by[:3, 3])
 

@@ -108,8 +108,9 @@ def shading(base: F64, metal: float, rough: float, passing: float, ior: float, e
     """
     metal, rough, passing = (min(max(value, 0.0), 1.0) for value in (metal, rough, passing))
     tint = float(extra.get("specularFactor", 1.0)) * np.array(extra.get("specularColorFactor", (1.0, 1.0, 1.0)))
-    facing = ((ior - 1.0) / (ior + 1.0)) ** 2 * tint * (1.0 - metal) + base * metal
-    shine = min((2.0 / max(rough, 0.05) ** 4 - 2.0) / 4.0, MAX_SHINE)
+    straight, wide = (ior - 1.0) / (ior + 1.0), max(rough, 0.05) * max(rough, 0.05)
+    facing = straight * straight * tint * (1.0 - metal) + base * metal
+    shine = min((2.0 / (wide * wide) - 2.0) / 4.0, MAX_SHINE)
     if shine < 1.0:
         facing = np.zeros(3)  # a highlight that wide is no highlight, but a wash over all that is lit
     return material(

@@ -12,8 +12,9 @@ from support.packets import pixel_bytes, ray_bytes, return_bytes, shadow_bytes
 from raygrid.emulator.driver import collector
 from raygrid.emulator.driver.collector import Collected
 from raygrid.node.errors import PacketError
+from raygrid.node.protocol.decoding import decode
 from raygrid.node.protocol.messages import HEAD
-from raygrid.node.protocol.packets import MAX_PIXEL_SAMPLES, MAX_PIXEL_SUM, PRIMARY, decode
+from raygrid.node.protocol.packets import MAX_PIXEL_SAMPLES, MAX_PIXEL_SUM, PRIMARY
 
 PIXELS = 7
 sums = st.one_of(st.integers(0, 3), st.sampled_from([2**32 - 1, 2**32, MAX_PIXEL_SUM - 1, MAX_PIXEL_SUM]))

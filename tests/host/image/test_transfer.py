@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from decimal import Decimal
+
 import numpy as np
 import pytest
 
 from raygrid.host.image.picture import Picture
 from raygrid.host.image.transfer import NEVER, TRANSFERS, byte_of, make_table, to_bytes
+from raygrid.node.tracing import UNIT
 
 SAMPLES = [1, 2, 3, 4, 7, 16, 100, 65_535]
 
@@ -36,3 +39,16 @@ def test_a_picture_has_the_shape_of_its_sums():
     assert picture.bytes().shape == sums.shape
     np.testing.assert_array_equal(picture.bytes("linear"), byte_of(sums, 1, "linear"))
     np.testing.assert_array_equal(Picture(sums[::2, ::-1], 1, {}).bytes(), picture.bytes()[::2, ::-1])
+
+
+@pytest.mark.parametrize("samples", [*range(1, 65), 100, 128, 256])
+def test_no_byte_depends_on_the_last_bits_of_a_power(samples):
+    """Bytes change at whole sums. Where exactly the formula reaches each byte is never so near to a whole sum that what is
+    off in a power of 8 last bits, on whatever computer, could change the sum."""
+    shades = (np.arange(1, 256) - 0.5) / 255.0
+    exact = [(Decimal(shade) + Decimal("0.055")) / Decimal("1.055") for shade in shades.tolist()]
+    least = [each ** Decimal("2.4") if each > Decimal("0.09") else None for each in exact]
+    for shade, value in zip(shades.tolist(), least, strict=True):
+        reached = (Decimal(shade) / Decimal("12.92") if value is None else value) * int(UNIT) * samples
+        off = reached * Decimal(8 * 2.4 * 2.0**-52)
+        assert abs(reached - reached.to_integral_value()) > off

@@ -13,8 +13,9 @@ from support.packets import pixel_bytes, ray_bytes, return_bytes, rewritten, row
 
 from raygrid.node.errors import PacketError
 from raygrid.node.geometry.lattice import LATTICE
-from raygrid.node.protocol import packets, packing
-from raygrid.node.protocol.packets import FAULTS, SIZE, Packet, PacketKind, PacketLimits
+from raygrid.node.protocol import decoding, packets, packing
+from raygrid.node.protocol.decoding import Packet
+from raygrid.node.protocol.packets import FAULTS, SIZE, PacketKind, PacketLimits
 
 H = packing.HALF_DIRECTION
 LAST = LATTICE - 1
@@ -89,8 +90,8 @@ def test_golden_bytes(case):
     data = bytes.fromhex(exact)
     assert len(data) == SIZE
     assert written.hex() == data.hex()
-    packets.check(data, EVERYTHING)
-    assert packets.decode(data) == packet
+    decoding.check(data, EVERYTHING)
+    assert decoding.decode(data) == packet
     assert rewritten(data) == data
 
 
@@ -143,14 +144,14 @@ REFUSED = [
 
 @pytest.mark.parametrize("data", [RAY, SHADOW, RETURN, PIXEL], ids=["ray", "shadow", "return", "pixel"])
 def test_packet_at_the_limits_of_its_frame_is_accepted(data):
-    packets.check(data, SMALL)
+    decoding.check(data, SMALL)
 
 
 @pytest.mark.parametrize(("code", "data"), REFUSED)
 def test_each_fault_is_found_and_named(code, data):
     assert packets.fault(rows(data), 0, SMALL) == code
     with pytest.raises(PacketError, match=f"^packet {data.hex()}: {FAULTS[code]}$"):
-        packets.check(data, SMALL)
+        decoding.check(data, SMALL)
 
 
 def test_every_fault_has_a_case():
@@ -160,15 +161,15 @@ def test_every_fault_has_a_case():
 @pytest.mark.parametrize("length", [0, 1, 24, 26, 50])
 def test_another_length_is_refused(length):
     with pytest.raises(PacketError, match=f"a packet came with {length} bytes, wanted 25"):
-        packets.check(b"\x09" * length, SMALL)
+        decoding.check(b"\x09" * length, SMALL)
     with pytest.raises(PacketError, match=f"^{length} bytes .*are no packet$"):
-        packets.decode(b"\x09" * length)
+        decoding.decode(b"\x09" * length)
 
 
 def test_decode_refuses_what_is_no_kind():
     for first in (0x08, 0x0F):
         with pytest.raises(PacketError, match="are no packet"):
-            packets.decode(bytes([first]) + RAY[1:])
+            decoding.decode(bytes([first]) + RAY[1:])
 
 
 def test_first_fault_of_many():
@@ -185,11 +186,11 @@ def test_25_random_bytes_are_a_packet_or_a_packet_error(data, limits, first):
     """Nothing else: what passes `check` can be decoded, described and written again; the rest raises PacketError."""
     data = bytes([first]) + data[1:]  # the rest of the bytes shrinks towards 0, and so towards packets
     try:
-        packets.check(data, limits)
+        decoding.check(data, limits)
     except PacketError:
         return
-    packet = packets.decode(data)
-    assert len(packets.describe(data).splitlines()) == 1
+    packet = decoding.decode(data)
+    assert len(decoding.describe(data).splitlines()) == 1
     assert all(math.isfinite(value) and value >= 0 for value in packet.values)
     assert packet.direction is None or abs(math.hypot(*packet.direction) - 1.0) < 1e-15
     assert rewritten(data) == data
@@ -200,7 +201,7 @@ def test_25_random_bytes_are_a_packet_or_a_packet_error(data, limits, first):
 def test_any_other_length_is_refused(data):
     if len(data) != SIZE:
         with pytest.raises(PacketError):
-            packets.check(data, EVERYTHING)
+            decoding.check(data, EVERYTHING)
 
 
 # --- rounding ---------------------------------------------------------------------------------------------
@@ -248,8 +249,8 @@ def test_shadow_weights_at_the_ends_of_their_range():
 
 def test_an_infinite_intensity_is_sent_as_the_largest():
     data = return_bytes(1, 0, (math.inf, 1.0, LARGEST_SENT), (0, 0, 0))
-    packets.check(data, SMALL)
-    assert packets.decode(data).values == (LARGEST_SENT, 1.0, LARGEST_SENT)
+    decoding.check(data, SMALL)
+    assert decoding.decode(data).values == (LARGEST_SENT, 1.0, LARGEST_SENT)
 
 
 component = st.one_of(st.sampled_from([0.0, -0.0, 1.0, -1.0, 1e-9, -1e-9, 0.5]), st.floats(-1.0, 1.0))
@@ -305,4 +306,4 @@ PRINTED = {
 
 @pytest.mark.parametrize("case", PRINTED)
 def test_describe(case):
-    assert packets.describe(bytes.fromhex(GOLDEN[case][1])) == PRINTED[case]
+    assert decoding.describe(bytes.fromhex(GOLDEN[case][1])) == PRINTED[case]

@@ -14,7 +14,7 @@ from support.frames import make_frame
 from support.space import UNEVEN_STEP, even_space, indices
 
 from raygrid.node.geometry.lattice import make_cell
-from raygrid.node.protocol import packets
+from raygrid.node.protocol import decoding, packets
 from raygrid.node.protocol.counters import BORN, COUNTS
 from raygrid.node.protocol.packets import MAX_PIXEL_SAMPLES, MAX_PIXEL_SUM, SIZE
 from raygrid.node.tracing.framebuffer import MAX_INTENSITY, UNIT, Pixels, fixed_point, make_pixels, send_pixels, slot
@@ -134,7 +134,7 @@ def gathered(found: list[bytes]) -> dict[int, list[int]]:
     """What the host adds up: red, green, blue and samples of each pixel."""
     picture: dict[int, list[int]] = {}
     for data in found:
-        packet = packets.decode(data)
+        packet = decoding.decode(data)
         assert packet.kind == packets.PIXEL
         total = picture.setdefault(packet.number, [0, 0, 0, 0])
         for k, value in enumerate((*packet.values, packet.samples)):
@@ -188,7 +188,7 @@ def test_a_row_that_begins_where_a_call_ended():
         pixels = store(SPANS)
         pixels.sums[:, 1] = np.arange(1, len(pixels.samples) + 1)
         found, _ = sent(pixels, [room])
-        assert [packets.decode(data).values[1] for data in found] == list(range(1, len(pixels.samples) + 1))
+        assert [decoding.decode(data).values[1] for data in found] == list(range(1, len(pixels.samples) + 1))
 
 
 def test_an_empty_store_sends_nothing():

@@ -11,7 +11,7 @@ from support.packets import rows
 from support.space import UNEVEN_STEP, Index, even_space, indices, uneven_space
 
 from raygrid.node.geometry.lattice import HALF, LONGEST_STEP, SLOW, Space, coordinate, make_cell
-from raygrid.node.protocol import packets, packing
+from raygrid.node.protocol import decoding, packets, packing
 from raygrid.node.protocol.counters import BORN, COUNTS
 from raygrid.node.protocol.frame_tables import Frame
 from raygrid.node.tracing.camera import TRIES
@@ -113,7 +113,7 @@ def test_the_packets_of_primary_rays():
     half = HALF * np.array(space.step)
     for index in indices(space):
         for data in born(frame, space, index)[0]:
-            packet = packets.decode(data)
+            packet = decoding.decode(data)
             assert (packet.kind, packet.depth, packet.values) == (packets.PRIMARY, 1, (1.0, 1.0, 1.0))
             assert packets.read_u32(rows(data), 20) | data[24] << 32 == WHITE
             np.testing.assert_allclose(packet.direction, samples.directions[packet.number], atol=4.25 * 2.0**-24)
