@@ -141,22 +141,8 @@ class NaiveMachine:
         unborn = self._frame.width * self._frame.height * self._frame.samples - born["primary"]
         unborn -= 0 if stuck else unborn  # those that are left when all is done miss the world box
         waiting = [self._waiting(node) for node in self._nodes.values() if node.held]
-        return Outcome(
-            self._room,
-            self._budget,
-            stuck > 0,
-            rounds,
-            closed,
-            born,
-            died,
-            stuck,
-            unborn,
-            self._blocked,
-            self._fullest,
-            self._most_trees,
-            cycle,
-            waiting,
-        )
+        begun, most = (self._room, self._budget), (self._blocked, self._fullest, self._most_trees)
+        return Outcome(*begun, stuck > 0, rounds, closed, born, died, stuck, unborn, *most, cycle, waiting)
 
     # --- turns -------------------------------------------------------------------------------------
 

@@ -16,22 +16,9 @@ import numpy as np
 from raygrid.emulator.analysis.requery import begin, carries_home, find_hit, sees_outside
 from raygrid.emulator.analysis.single_step import Served, SingleStep, Units
 from raygrid.emulator.topology.coordinates import Index, beyond
+from raygrid.node import protocol
 from raygrid.node.errors import ArrayError, SceneError
 from raygrid.node.geometry import DEPTH, HALF, OPPOSITE, PORTS, SELF, Space, SurfaceSet
-from raygrid.node.protocol import (
-    BORN,
-    COUNTS,
-    DIED,
-    HITS,
-    PRIMARY,
-    REFLECTED,
-    RETURN,
-    SHADOW,
-    WALKS,
-    Frame,
-    PacketKind,
-    decode,
-)
 from raygrid.node.tracing import MAX_INTENSITY, UNIT
 
 MOST_RAYS = 1_000_000  # of one tree
@@ -77,7 +64,7 @@ class Ray:
     came_back  what it brought home, or None
     """
 
-    kind: PacketKind
+    kind: protocol.PacketKind
     depth: int
     origin: Vector
     direction: Vector
@@ -121,10 +108,10 @@ class Provenance:
     Raises ArrayError if the array cannot be loaded.
     """
 
-    def __init__(self, space: Space, surfaces: SurfaceSet, frame: Frame, most_rays: int = MOST_RAYS) -> None:
+    def __init__(self, space: Space, surfaces: SurfaceSet, frame: protocol.Frame, most_rays: int = MOST_RAYS) -> None:
         self._steps = SingleStep(space, surfaces, frame)
         self.space, self.frame, self._most_rays = space, frame, most_rays
-        self._stack, self._scratch = np.zeros(DEPTH, np.int64), np.zeros(COUNTS, np.int64)
+        self._stack, self._scratch = np.zeros(DEPTH, np.int64), np.zeros(protocol.COUNTS, np.int64)
 
     def pixel(self, x: int, y: int, only: int | None = None) -> list[SampleTree]:
         """The samples of a pixel, row 0 on top; `only`: that one. Raises SceneError for a pixel or sample that is not."""
@@ -172,9 +159,9 @@ class Provenance:
             if ray.cells[-1] != transit.index:
                 ray.cells.append(transit.index)
             served = self._steps.serve(transit.index, transit.packet, transit.port)
-            if served.counts[WALKS] and not walked:
+            if served.counts[protocol.WALKS] and not walked:
                 walked, ray.start = True, len(ray.cells) - 1
-            if served.counts[DIED + ray.kind]:
+            if served.counts[protocol.DIED + ray.kind]:
                 return self._ended(transit, served)
             ((output, transit.packet),) = served.out
             transit.index, transit.port = _over(transit.index, output)
@@ -184,10 +171,10 @@ class Provenance:
         ray, index = transit.ray, transit.index
         item, surface, material, t, point, direction, inside, _ = self._look(transit)
         ray.direction = _vector(direction)
-        hit, returned = bool(served.counts[HITS]), bool(served.counts[BORN + RETURN])
-        if ray.kind == SHADOW:
+        hit, returned = bool(served.counts[protocol.HITS]), bool(served.counts[protocol.BORN + protocol.RETURN])
+        if ray.kind == protocol.SHADOW:
             hit = not returned and max(ray.weight) > 0.0
-        if (item >= 0) != hit and not (ray.kind == SHADOW and max(ray.weight) == 0.0):
+        if (item >= 0) != hit and not (ray.kind == protocol.SHADOW and max(ray.weight) == 0.0):
             raise ArrayError(f"node {index}: a ray of depth {ray.depth} ended otherwise than its surfaces say")
         if item >= 0:
             ray.met = Meeting(int(surface), int(material), _vector(point), float(t), index)
@@ -197,29 +184,29 @@ class Provenance:
             ray.came_back = self._returned(transit, served)
             return []
         children = [self._child(index, output, packet) for output, packet in served.out]
-        children.sort(key=lambda child: (child.ray.kind != SHADOW, child.ray.light or 0, child.ray.kind))
-        turned = [child for child in children if child.ray.kind == REFLECTED]
+        children.sort(key=lambda child: (child.ray.kind != protocol.SHADOW, child.ray.light or 0, child.ray.kind))
+        turned = [child for child in children if child.ray.kind == protocol.REFLECTED]
         if inside and turned:  # behind the one that the mirror makes, if it does; it has the whole weight
             turned[-1].ray.inside = turned[-1].ray.weight == ray.weight
         return children
 
     def _returned(self, transit: _InTransit, served: Served) -> CameBack:
         """Hand a return packet to its home. Raises ArrayError if that adds something else than it carries."""
-        index, pixel = transit.index, decode(transit.packet).number // self.frame.samples
+        index, pixel = transit.index, protocol.decode(transit.packet).number // self.frame.samples
         cells = [index]
         if not served.out:  # it was at home where it was born, and is in the store already
             intensity = _vector(transit.ray.weight)
-            if transit.ray.kind != SHADOW:
+            if transit.ray.kind != protocol.SHADOW:
                 intensity = _vector(carries_home(self.frame, np.frombuffer(bytearray(transit.packet), np.uint8)))
             return CameBack(intensity, _fixed(intensity), cells)
         ((output, packet),) = served.out
-        intensity = _vector(decode(packet).values)
+        intensity = _vector(protocol.decode(packet).values)
         while True:
             index, port = _over(index, output)
             cells.append(index)
             before = self._steps.stored(index, pixel)
             served = self._steps.serve(index, packet, port)
-            if served.counts[DIED + RETURN]:
+            if served.counts[protocol.DIED + protocol.RETURN]:
                 break
             ((output, packet),) = served.out
         after = self._steps.stored(index, pixel)
@@ -233,7 +220,7 @@ class Provenance:
         return _InTransit(packet, *_over(index, output), ray)
 
     def _record(self, packet: bytes, index: Index) -> Ray:
-        read = decode(packet)
+        read = protocol.decode(packet)
         assert read.origin is not None
         x, y, z = ((k - HALF) * step for k, step in zip(read.origin, self.space.step, strict=True))
         direction = read.direction or (0.0, 0.0, 0.0)
@@ -251,10 +238,10 @@ class Provenance:
 
     def _check_conserved(self) -> None:
         counts = self._steps.counts()
-        for kind in (*range(PRIMARY, SHADOW), SHADOW, RETURN):
-            if counts[BORN + kind] != counts[DIED + kind]:
-                born, died = counts[BORN + kind], counts[DIED + kind]
-                raise ArrayError(f"{born} packets of kind {PacketKind(kind).name} were born and {died} died")
+        for kind in (*range(protocol.PRIMARY, protocol.SHADOW), protocol.SHADOW, protocol.RETURN):
+            if counts[protocol.BORN + kind] != counts[protocol.DIED + kind]:
+                born, died = counts[protocol.BORN + kind], counts[protocol.DIED + kind]
+                raise ArrayError(f"{born} packets of kind {protocol.PacketKind(kind).name} were born and {died} died")
 
 
 def _over(index: Index, output: int) -> tuple[Index, int]:
@@ -272,13 +259,3 @@ def _vector(values: Iterable[float]) -> Vector:
 def _fixed(intensity: Vector) -> Units:
     red, green, blue = (int(min(value, MAX_INTENSITY) * UNIT + 0.5) for value in intensity)
     return red, green, blue
-
-
-def all_rays(root: Ray) -> list[Ray]:
-    """Every ray of a tree, parents before their children."""
-    found, waiting = [], [root]
-    while waiting:
-        ray = waiting.pop()
-        found.append(ray)
-        waiting += reversed(ray.children)
-    return found

@@ -5,5 +5,4 @@ from .driver import BUDGET as BUDGET
 from .driver import PATIENCE as PATIENCE
 from .driver import Driver as Driver
 from .increments import is_held as is_held
-from .samples import PHASES as PHASES
 from .samples import NodeSample as NodeSample

@@ -19,36 +19,11 @@ from raygrid.emulator.driver.collector import Collected, Samples
 from raygrid.emulator.driver.dealing import deal_surfaces
 from raygrid.emulator.driver.increments import HeldSurfaces, check_moves, increment
 from raygrid.emulator.topology.coordinates import name_of
+from raygrid.node import protocol, runtime
 from raygrid.node.errors import ArrayError, Garbled, ProtocolError, SceneError, Stuck
 from raygrid.node.geometry import Moves, Space, SurfaceSet, groups_order
 from raygrid.node.links import Link, LinkPhase
 from raygrid.node.programs import Program, program_order
-from raygrid.node.protocol import (
-    BORN,
-    DIED,
-    PIXEL,
-    Frame,
-    MessageKind,
-    TraceCommand,
-    check_packets,
-    frame_order,
-    pack_surfaces,
-    read_order,
-    space_order,
-)
-from raygrid.node.runtime import (
-    ALLOWED,
-    COLLECTING,
-    HANDED_ON,
-    REFUSED,
-    SUM_DATA_DONE,
-    SUM_DATA_SENT,
-    SUM_RECEIVED,
-    SUM_WAITING,
-    pack_request,
-    read_reply,
-    read_sums,
-)
 
 BUDGET = 1 << 20  # packets in flight below which primaries are admitted, and so the most primaries alive (`bounds`)
 PATIENCE = 30.0  # seconds without any progress after which the array is taken to hang
@@ -88,14 +63,14 @@ class Driver:
         """Take in what the link to a corner has. Raises ProtocolError."""
         link = self.links[corner]
         while (arrival := link.receive()) is not None:
-            if arrival.kind == MessageKind.PACKETS:
-                check_packets(arrival.message, arrival.items)
+            if arrival.kind == protocol.MessageKind.PACKETS:
+                protocol.check_packets(arrival.message, arrival.items)
                 self._take_pixels(arrival.message, arrival.items)
                 link.grant()
-            elif arrival.kind == MessageKind.UP and corner == 0:
-                self._answer = read_order(arrival.message)
-            elif arrival.kind == MessageKind.REDUCED and corner == 0:
-                number, sums = read_reply(arrival.message)
+            elif arrival.kind == protocol.MessageKind.UP and corner == 0:
+                self._answer = protocol.read_order(arrival.message)
+            elif arrival.kind == protocol.MessageKind.REDUCED and corner == 0:
+                number, sums = runtime.read_reply(arrival.message)
                 self._answer = {"wave": number, "sums": sums.tobytes()}
             else:
                 raise ProtocolError(f"link {link.name}: {arrival.kind.name} came, which a node never sends to the host")
@@ -107,29 +82,31 @@ class Driver:
             raise ProtocolError(f"{count} pixel packets came, but no frame is being collected")
         self._collected.take(message, count)
 
-    def wave(self, command: TraceCommand | dict[str, Any]) -> dict[str, Any]:
+    def wave(self, command: protocol.TraceCommand | dict[str, Any]) -> dict[str, Any]:
         """Send a command over the array and wait for the answer of all. Raises Stuck, ProtocolError, LostProcess."""
-        order = command.as_map() if isinstance(command, TraceCommand) else command
+        order = command.as_map() if isinstance(command, protocol.TraceCommand) else command
         if not self._answered:  # the caller gave up waiting for the last one
             self._wait(lambda: self._answer is not None, "the order before came back")
         self._wave_number += 1
         self.waves += 1
         self._answer, self._answered = None, False
-        request = pack_request(self._wave_number, command) if isinstance(command, TraceCommand) else None
+        request = (
+            runtime.pack_request(self._wave_number, command) if isinstance(command, protocol.TraceCommand) else None
+        )
         if request is None:
-            self.links[0].send_order(MessageKind.DOWN, {**order, "wave": self._wave_number})
+            self.links[0].send_order(protocol.MessageKind.DOWN, {**order, "wave": self._wave_number})
         else:
-            self.links[0].send_payload(MessageKind.REDUCE, request)
+            self.links[0].send_payload(protocol.MessageKind.REDUCE, request)
         self._wait(lambda: self._answer is not None, f"the order {order['do']!r} came back")
         self._answered = True
         answer: dict[str, Any] = self._answer  # type: ignore[assignment]
-        sums = answer["sums"] = read_sums(answer).tolist()
+        sums = answer["sums"] = runtime.read_sums(answer).tolist()
         if answer.get("wave") != self._wave_number:
             raise ProtocolError(f"wave {self._wave_number} ({order['do']}) came back as another one")
-        if sums[REFUSED] and request is not None:  # which says how often, and another wave why
+        if sums[runtime.REFUSED] and request is not None:  # which says how often, and another wave why
             return self.wave({"do": "loaded"})
-        if sums[REFUSED]:
-            raise Garbled(f"{sums[REFUSED]} times a node refused what came: " + "; ".join(answer["refusals"]))
+        if sums[runtime.REFUSED]:
+            raise Garbled(f"{sums[runtime.REFUSED]} times a node refused what came: " + "; ".join(answer["refusals"]))
         return answer
 
     def _wait(self, done: Callable[[], bool], what: str) -> None:
@@ -176,8 +153,8 @@ class Driver:
             since = time.monotonic()
             while True:
                 sums = self.wave({"do": "halt"})["sums"]
-                sent = sums[SUM_DATA_SENT] + sum(link.data_sent for link in self.links.values())
-                done = sums[SUM_DATA_DONE] + sum(link.data_done for link in self.links.values())
+                sent = sums[runtime.SUM_DATA_SENT] + sum(link.data_sent for link in self.links.values())
+                done = sums[runtime.SUM_DATA_DONE] + sum(link.data_done for link in self.links.values())
                 if sent == done:
                     break
                 if time.monotonic() - since > self.patience:
@@ -223,13 +200,13 @@ class Driver:
             check_moves(space, surfaces, moves)
         self._settle()
         self._quiet = False
-        self.wave(space_order(space))
+        self.wave(protocol.space_order(space))
         if moves is not None and moves.groups.many:
             self.wave(groups_order(moves))
         dealt = 0
         for corner, batch in deal_surfaces(surfaces, self.shape, moves, self._look_up):
             link = self.links[corner]
-            link.send_data(MessageKind.SURFACES, len(batch), pack_surfaces(corner, batch))
+            link.send_data(protocol.MessageKind.SURFACES, len(batch), protocol.pack_surfaces(corner, batch))
             dealt += len(batch)
             if link.waiting > 4:
                 self._wait(lambda link=link: link.waiting <= 4, "a corner takes more surfaces")  # type: ignore[misc]
@@ -257,7 +234,7 @@ class Driver:
             self._settle()
             self._quiet = False
             self.wave(order)
-            self._wait_arrived(held.dealt, self.wave({"do": "hand"})["sums"][SUM_RECEIVED])
+            self._wait_arrived(held.dealt, self.wave({"do": "hand"})["sums"][runtime.SUM_RECEIVED])
             self.wave({"do": "build"})
             self._quiet = True
         self.held = held._replace(moves=moves, key=key)
@@ -275,15 +252,15 @@ class Driver:
         """
         while True:
             sums = self.wave({"do": "loaded"})["sums"]
-            if received == dealt + sums[HANDED_ON]:
+            if received == dealt + sums[runtime.HANDED_ON]:
                 return
-            received = sums[SUM_RECEIVED]
+            received = sums[runtime.SUM_RECEIVED]
 
     # --- tracing -------------------------------------------------------------------------------------
 
     def trace(
         self,
-        frame: Frame,
+        frame: protocol.Frame,
         budget: int = BUDGET,
         progress: Callable[[Progress], None] | None = None,
         prices: dict[str, Any] | None = None,
@@ -294,7 +271,7 @@ class Driver:
         """
         self._settle()
         self._quiet = False
-        answer = self.wave({**frame_order(frame), **(prices or {})})
+        answer = self.wave({**protocol.frame_order(frame), **(prices or {})})
         hold = HOLD + 0.001 * self.nodes
         before: Progress | None = None
         moved = time.monotonic()
@@ -311,7 +288,7 @@ class Driver:
                 return now
             elif time.monotonic() - moved > self.patience:
                 raise Stuck(self._why_stuck(now))
-            quota = next_quota(budget, now, before, answer["sums"][ALLOWED])
+            quota = next_quota(budget, now, before, answer["sums"][runtime.ALLOWED])
             before = now
             command = batching(now.in_flight, self.nodes, self._processors)
             answer = self.wave(command._replace(quota=quota, hold=hold))
@@ -331,16 +308,16 @@ class Driver:
         self._quiet = False
         self._collected = collected = into or Collected(pixels)
         hold = HOLD + 0.001 * self.nodes
-        command: TraceCommand | dict[str, Any] = {"do": "collect", "hold": hold}
+        command: protocol.TraceCommand | dict[str, Any] = {"do": "collect", "hold": hold}
         since = time.monotonic()
         while True:
             sums = self.wave(command)["sums"]
-            born, died = sums[BORN + PIXEL], sums[DIED + PIXEL]
-            if sums[COLLECTING] == 0 and sums[SUM_WAITING] == 0 and born == died:
+            born, died = sums[protocol.BORN + protocol.PIXEL], sums[protocol.DIED + protocol.PIXEL]
+            if sums[runtime.COLLECTING] == 0 and sums[runtime.SUM_WAITING] == 0 and born == died:
                 break
             if time.monotonic() - since > self.patience + pixels / 1e4:
                 raise Stuck(f"{born} pixel packets were born and {died} reached a corner")
-            command = TraceCommand(0, hold, flush=EAGER_FLUSH)
+            command = protocol.TraceCommand(0, hold, flush=EAGER_FLUSH)
         self._wait(lambda: collected.received >= born, "all pixel packets are here")
         if collected.received != born:
             raise Garbled(f"{collected.received} pixel packets came, {born} were born")

@@ -26,14 +26,9 @@ from numpy.typing import NDArray
 
 from raygrid.emulator.partition.kernels import search_planes, walk_rays
 from raygrid.emulator.partition.sampling_prepass import SamplingPrepass
-from raygrid.node.geometry import (
-    DEPTH,
-    LATTICE,
-    Space,
-)
+from raygrid.node.geometry import DEPTH, F64, LATTICE, Space
 from raygrid.node.jit import compiling_heard_by, is_on_disk
 
-F64 = NDArray[np.float64]
 # The largest cell is approached by norms of order 2^n: a low order sees all cells, a high one the largest only.
 ORDERS = (2, 3, 6)
 
@@ -86,16 +81,6 @@ def _places(prepass: SamplingPrepass, grid: Space) -> NDArray[np.int64]:
         middles = (prepass.boxes[:, 0, axis] + prepass.boxes[:, 1, axis]) / 2.0 / prepass.step[axis] + LATTICE // 2
         places[axis] = np.searchsorted(grid.planes[axis, 1 : grid.shape[axis]], middles, "right") + 1
     return places
-
-
-def by_cell(work: CostGrid) -> F64:
-    """The work of each voxel of the grid as a cell of an array, float64 (nx, ny, nz)."""
-    cells = np.diff(np.diff(np.diff(work.done, axis=0), axis=1), axis=2)
-    for axis in range(3):
-        one, two = (other for other in range(3) if other != axis)
-        upwards, downwards = (np.diff(np.diff(work.crossed[axis, way], axis=one), axis=two) for way in (0, 1))
-        cells += np.delete(upwards, -1, axis=axis) + np.delete(downwards, 0, axis=axis)
-    return cells
 
 
 # --- search ----------------------------------------------------------------------------------------------

@@ -14,34 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.emulator.partition.kernels import FACTS, record_rays
-from raygrid.node.geometry import (
-    DEPTH,
-    LATTICE,
-    SELF,
-    SELF_RAYS,
-    STORED_AS,
-    Batch,
-    Cell,
-    Kind,
-    Space,
-    Surfaces,
-    SurfaceSet,
-    make_cell,
-    make_space,
-    merge,
-)
+from raygrid.node import geometry, tracing
 from raygrid.node.protocol import COUNTS, HEAD, SIZE, Frame
-from raygrid.node.tracing import (
-    Outputs,
-    build_surfaces,
-    make_outputs,
-    make_pixels,
-    new_cursor,
-    spawn_primaries,
-)
 from raygrid.node.tracing.step import step
 
-F64 = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 ACROSS = 48  # rays of the pre-pass along a side of the picture
 MOST_RAYS = 200_000  # rays followed, whatever lights and mirrors there are
@@ -61,7 +37,7 @@ class PrepassRays(NamedTuple):
 
     origins: NDArray[np.int64]
     homes: NDArray[np.int64]
-    facts: F64
+    facts: geometry.F64
 
 
 class SamplingPrepass(NamedTuple):
@@ -74,23 +50,23 @@ class SamplingPrepass(NamedTuple):
     """
 
     rays: PrepassRays
-    surfaces: Surfaces
-    boxes: F64
+    surfaces: geometry.Surfaces
+    boxes: geometry.F64
     each: float
     step: tuple[float, float, float]
     share: float
 
 
 def run_prepass(
-    steps: tuple[float, float, float], surfaces: SurfaceSet, frame: Frame, across: int = ACROSS
+    steps: tuple[float, float, float], surfaces: geometry.SurfaceSet, frame: Frame, across: int = ACROSS
 ) -> SamplingPrepass:
     """Trace a coarse grid of the frame's rays through surfaces in machine coordinates."""
-    space = make_space(steps, [[0, LATTICE]] * 3)
-    cell = make_cell(space, (0, 0, 0))
+    space = geometry.make_space(steps, [[0, geometry.LATTICE]] * 3)
+    cell = geometry.make_cell(space, (0, 0, 0))
     coarse = coarse_frame(frame, across)
     chosen = stand_ins(surfaces)
     boxes = np.concatenate([batch.bounds() for batch in chosen])
-    built = build_surfaces(chosen, cell)
+    built = tracing.build_surfaces(chosen, cell)
     share = frame.width * frame.height * frame.samples / (coarse.width * coarse.height)
     return SamplingPrepass(_trace(space, cell, coarse, built), built, boxes, len(surfaces) / len(boxes), steps, share)
 
@@ -111,11 +87,11 @@ def coarse_frame(frame: Frame, across: int) -> Frame:
 # --- a part of a large scene -----------------------------------------------------------------------------
 
 
-def stand_ins(surfaces: SurfaceSet, most: int = MOST_SURFACES) -> SurfaceSet:
+def stand_ins(surfaces: geometry.SurfaceSet, most: int = MOST_SURFACES) -> geometry.SurfaceSet:
     """At most about this many surfaces that stand for all: the largest, and every so manieth of the others, made
     larger to cover twice the area of those that they stand for (then a ray misses one in e^2)."""
     if len(surfaces) <= most:
-        return merge(surfaces)
+        return geometry.merge(surfaces)
     sizes = [_sizes(batch) for batch in surfaces]
     limit = np.partition(np.concatenate(sizes), len(surfaces) - LARGEST)[len(surfaces) - LARGEST]
     stride = math.ceil(len(surfaces) / (most - LARGEST))
@@ -124,15 +100,15 @@ def stand_ins(surfaces: SurfaceSet, most: int = MOST_SURFACES) -> SurfaceSet:
         large = np.flatnonzero(size > limit)  # fewer than LARGEST, none if all are of one size
         others = np.arange(0, len(batch), stride)
         chosen += [batch.select(large), _enlarged(batch.select(others[size[others] <= limit]), math.sqrt(2 * stride))]
-    return merge(chosen)
+    return geometry.merge(chosen)
 
 
-def _sizes(batch: Batch) -> NDArray[np.floating]:
+def _sizes(batch: geometry.Batch) -> NDArray[np.floating]:
     """A length of each surface, cheap to work out for a million."""
     data = batch.data
-    if batch.kind not in (Kind.TRIANGLE, Kind.SMOOTH):
+    if batch.kind not in (geometry.Kind.TRIANGLE, geometry.Kind.SMOOTH):
         boxes = batch.bounds()
-        edges: F64 = (boxes[:, 1] - boxes[:, 0]).max(axis=1)
+        edges: geometry.F64 = (boxes[:, 1] - boxes[:, 0]).max(axis=1)
         return edges
     size = np.zeros(len(data), data.dtype)
     for column in range(3, 9):
@@ -140,40 +116,42 @@ def _sizes(batch: Batch) -> NDArray[np.floating]:
     return size
 
 
-def _enlarged(batch: Batch, factor: float) -> Batch:
+def _enlarged(batch: geometry.Batch, factor: float) -> geometry.Batch:
     """Each surface made larger about its middle."""
     data = batch.data.astype(np.float64)
     if len(batch) == 0:
         return batch
-    if batch.kind == Kind.POLYGON:
+    if batch.kind == geometry.Kind.POLYGON:
         counts = np.diff(batch.starts)
         middles = np.repeat(np.add.reduceat(data, batch.starts[:-1]) / counts[:, None], counts, axis=0)
         data = middles + (data - middles) * factor
-    elif batch.kind == Kind.SPHERE:
+    elif batch.kind == geometry.Kind.SPHERE:
         data[:, 3] *= factor
     else:
         points = [slice(0, 3), slice(3, 6), slice(6, 9)]
-        if batch.kind in (Kind.CYLINDER, Kind.CONE):
+        if batch.kind in (geometry.Kind.CYLINDER, geometry.Kind.CONE):
             points = [slice(0, 3), slice(4, 7)]
             data[:, [3, 7]] *= factor
         middle = sum(data[:, point] for point in points) / len(points)
         for point in points:
             data[:, point] = middle + (data[:, point] - middle) * factor
-    return Batch(batch.kind, batch.ids, batch.materials, data.astype(STORED_AS[batch.kind]), batch.starts)
+    return geometry.Batch(
+        batch.kind, batch.ids, batch.materials, data.astype(geometry.STORED_AS[batch.kind]), batch.starts
+    )
 
 
 # --- the rays --------------------------------------------------------------------------------------------
 
 
-def _trace(space: Space, cell: Cell, frame: Frame, surfaces: Surfaces) -> PrepassRays:
+def _trace(space: geometry.Space, cell: geometry.Cell, frame: Frame, surfaces: geometry.Surfaces) -> PrepassRays:
     """Every ray of the frame, generation by generation, until none is left or MOST_RAYS are done."""
-    pixels = make_pixels(frame, space, cell)
-    outputs = make_outputs(max(ROOM, 2 * (frame.n_lights + 2)), DEPTH)
-    counts, ports = np.zeros(COUNTS, np.int64), np.full(CHUNK, SELF, np.uint8)
+    pixels = tracing.make_pixels(frame, space, cell)
+    outputs = tracing.make_outputs(max(ROOM, 2 * (frame.n_lights + 2)), geometry.DEPTH)
+    counts, ports = np.zeros(COUNTS, np.int64), np.full(CHUNK, geometry.SELF, np.uint8)
     room = frame.width * frame.height
     first = np.zeros(room * SIZE, np.uint8)
-    born = spawn_primaries(
-        cell, space, frame, pixels, new_cursor(len(pixels.first) > 0), first, 0, room, outputs.seen, counts
+    born = tracing.spawn_primaries(
+        cell, space, frame, pixels, tracing.new_cursor(len(pixels.first) > 0), first, 0, room, outputs.seen, counts
     )
     waiting = _pieces(first[: born * SIZE])
     found: list[PrepassRays] = [_no_rays(0)]
@@ -184,7 +162,7 @@ def _trace(space: Space, cell: Cell, frame: Frame, surfaces: Surfaces) -> Prepas
         done = step(cell, space, frame, surfaces, pixels, packets, ports, 0, many, outputs, counts)
         if done < many:  # the outputs are full
             waiting.insert(0, packets[done * SIZE :].copy())
-        shadows, others = (_taken(outputs, output) for output in (SELF, SELF_RAYS))
+        shadows, others = (_taken(outputs, output) for output in (geometry.SELF, geometry.SELF_RAYS))
         for piece in (packets[: done * SIZE], *_pieces(shadows)):
             rays = _no_rays(len(piece) // SIZE)
             record_rays(space, cell, frame, surfaces, outputs.stack, piece, rays, counts)
@@ -194,7 +172,7 @@ def _trace(space: Space, cell: Cell, frame: Frame, surfaces: Surfaces) -> Prepas
     return PrepassRays(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
-def _taken(outputs: Outputs, output: int) -> Bytes:
+def _taken(outputs: tracing.Outputs, output: int) -> Bytes:
     """What the step has put on an output, which is empty then."""
     packets = outputs.data[output, HEAD : HEAD + int(outputs.held[output]) * SIZE].copy()
     outputs.held[output] = 0

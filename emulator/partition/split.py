@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 
 from raygrid.emulator.topology.coordinates import Index
 from raygrid.node.errors import ArrayError
-from raygrid.node.geometry import HALF, LATTICE, THINNEST_CELL, AddedKind, Space, SurfaceSet, World, make_space
+from raygrid.node.geometry import F64, HALF, LATTICE, THINNEST_CELL, AddedKind, Space, SurfaceSet, World, make_space
 from raygrid.node.protocol import Frame
 
-F64 = NDArray[np.float64]
 Line = NDArray[np.int64]
 SPLITS = ("balanced", "uniform")
 SLICES = 4096  # resolution of a measure along an axis

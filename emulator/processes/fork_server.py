@@ -32,21 +32,8 @@ from contextlib import suppress
 from fcntl import F_GETFL, F_SETFL, F_SETOWN, fcntl
 from typing import NoReturn
 
+from raygrid.emulator.processes import fork_server_protocol as protocol
 from raygrid.emulator.processes.control import MOST_DESCRIPTORS, ForkServerChannel, Message, close_all
-from raygrid.emulator.processes.fork_server_protocol import (
-    ControlEnds,
-    End,
-    Kill,
-    Launch,
-    Launched,
-    NodeEnded,
-    Refused,
-    Report,
-    Warm,
-    Warming,
-    as_message,
-    read_order,
-)
 from raygrid.emulator.topology import socket_directory
 from raygrid.emulator.topology.coordinates import Index, name_of
 from raygrid.node.errors import RaygridError
@@ -127,19 +114,19 @@ class ForkServer:
         self._ending = self._orphaned = True
 
     def _obey(self, message: Message) -> None:
-        match read_order(message):
-            case Launch(configs) if not self._ending:
+        match protocol.read_order(message):
+            case protocol.Launch(configs) if not self._ending:
                 self._launch(configs)
-            case Kill(pids):
+            case protocol.Kill(pids):
                 for pid in self.children.keys() & set(pids):  # not yet reaped, so nobody else has these ids
                     os.kill(pid, signal.SIGKILL)
-            case End():
+            case protocol.End():
                 self._ending = True
-            case Launch() | None:
-                self._report(Refused(f"the fork server cannot {message.get('do')!r} now"))
+            case protocol.Launch() | None:
+                self._report(protocol.Refused(f"the fork server cannot {message.get('do')!r} now"))
 
-    def _report(self, report: Report, descriptors: Sequence[int] = ()) -> None:
-        self.control.send(as_message(report), descriptors)
+    def _report(self, report: protocol.Report, descriptors: Sequence[int] = ()) -> None:
+        self.control.send(protocol.as_message(report), descriptors)
 
     # --- nodes -----------------------------------------------------------------------------------
 
@@ -159,13 +146,13 @@ class ForkServer:
                 os.kill(pid, signal.SIGKILL)
                 os.waitpid(pid, 0)
             why = f"node {len(pids) + 1} of {len(configs)} could not be forked: {error.strerror}"
-            self._report(Refused(why))
+            self._report(protocol.Refused(why))
             return
         self.children.update((pid, config["index"]) for pid, config in zip(pids, configs, strict=True))
         for first in range(0, len(channels), MOST_DESCRIPTORS):
             some = channels[first : first + MOST_DESCRIPTORS]
-            self._report(ControlEnds(len(some)), some)
-        self._report(Launched(pids))
+            self._report(protocol.ControlEnds(len(some)), some)
+        self._report(protocol.Launched(pids))
 
     def _fork(self, config: Message, channel: int) -> int:
         for stream in (sys.stdout, sys.stderr):
@@ -225,7 +212,7 @@ class ForkServer:
             index = self.children.pop(pid, None)
             if index is not None:
                 code = os.waitstatus_to_exitcode(status)
-                self._report(NodeEnded(pid, index, code))
+                self._report(protocol.NodeEnded(pid, index, code))
 
     def _end_children(self) -> None:
         """End and reap all nodes, and give the front end a short time to read of it."""
@@ -299,7 +286,7 @@ def warm_up(control: ForkServerChannel, program: str, warm: str, directory: str 
     def report(done: int, total: int, what: str) -> None:
         if done:
             gc.enable()  # but compiling leaves much behind
-        control.send(as_message(Warming(done, total, what)))
+        control.send(protocol.as_message(protocol.Warming(done, total, what)))
 
     getattr(importlib.import_module(module), function)(report)
     fcntl(control.socket, F_SETFL, fcntl(control.socket, F_GETFL) & ~os.O_ASYNC)
@@ -311,7 +298,7 @@ def warm_up(control: ForkServerChannel, program: str, warm: str, directory: str 
         gc.collect()
     gc.freeze()  # or the first collection in each node would write to, and so copy, all that is shared
     gc.enable()
-    control.send(as_message(Warm()))
+    control.send(protocol.as_message(protocol.Warm()))
     return run
 
 

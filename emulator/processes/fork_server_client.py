@@ -25,22 +25,9 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Self, assert_never
 
+from raygrid.emulator.processes import fork_server_protocol as protocol
 from raygrid.emulator.processes.control import ForkServerChannel, Message, close_all
 from raygrid.emulator.processes.fork_server import LAST_WAIT, open_pidfd
-from raygrid.emulator.processes.fork_server_protocol import (
-    ControlEnds,
-    End,
-    Kill,
-    Launch,
-    Launched,
-    NodeEnded,
-    Order,
-    Refused,
-    Warm,
-    Warming,
-    as_message,
-    read_report,
-)
 from raygrid.emulator.processes.process_ended import ProcessEnded, how_ended
 from raygrid.emulator.processes.stderr_log import StderrLog
 from raygrid.emulator.topology.coordinates import Index
@@ -55,7 +42,7 @@ ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_
 OnWarming = Callable[[int, int, str], object]
 
 
-Event = Warming | ProcessEnded
+Event = protocol.Warming | ProcessEnded
 
 
 class ForkServerClient:
@@ -80,7 +67,7 @@ class ForkServerClient:
         self._events: list[Event] = []
         self._control_ends: dict[int, int] = {}  # of nodes that were launched, until they are taken
         self._asked: Sequence[Message] = ()  # configs of the launch under way
-        self._reply: Launched | Refused | None = None
+        self._reply: protocol.Launched | protocol.Refused | None = None
         self._dead = self._ended = False
         self._owner = os.getpid()
         # Readable when there is something to read anywhere, or events that came with the answer to a launch.
@@ -200,11 +187,11 @@ class ForkServerClient:
         self._check_alive()
         self._reply, self._asked = None, configs
         try:
-            self._order(Launch(configs))
+            self._order(protocol.Launch(configs))
         except (TypeError, ValueError, OverflowError) as error:
             raise ArrayError(f"a node's config cannot be sent: {error}; wanted what msgpack can carry") from error
         reply = self._wait_reply(timeout, f"fork {len(configs)} nodes")
-        if isinstance(reply, Refused):
+        if isinstance(reply, protocol.Refused):
             raise ArrayError(f"the array could not be launched: {reply.why}")
         ends = self._control.descriptors
         if len(ends) != len(reply.pids):
@@ -223,10 +210,10 @@ class ForkServerClient:
     def kill(self, pids: Sequence[int]) -> None:
         """Kill these nodes with SIGKILL; those that have ended already are passed over. Their ends come as events."""
         self._check_alive()
-        self._order(Kill(pids))
+        self._order(protocol.Kill(pids))
 
-    def _order(self, order: Order) -> None:
-        self._control.send(as_message(order))
+    def _order(self, order: protocol.Order) -> None:
+        self._control.send(protocol.as_message(order))
 
     def read_events(self) -> list[Event]:
         """What has happened since the last call, oldest first, without waiting; nothing after `end`.
@@ -243,7 +230,7 @@ class ForkServerClient:
             self._check_alive()
         return events
 
-    def _wait_reply(self, timeout: float, what: str) -> Launched | Refused:
+    def _wait_reply(self, timeout: float, what: str) -> protocol.Launched | protocol.Refused:
         self._wait(lambda: self._reply is not None, timeout, what)
         assert self._reply is not None
         return self._reply
@@ -311,23 +298,23 @@ class ForkServerClient:
 
     def _take(self, message: Message) -> None:
         """Take in a report."""
-        match read_report(message):
-            case Warm():
+        match protocol.read_report(message):
+            case protocol.Warm():
                 self.warm = True
-            case Warming() as event:
+            case protocol.Warming() as event:
                 if self._on_warming is None:
                     self._events.append(event)
                 else:
                     self._on_warming(event.done, event.total, event.what)
-            case NodeEnded(pid, index, status):
+            case protocol.NodeEnded(pid, index, status):
                 self._pids.pop(pid, None)
                 self._events.append(ProcessEnded(pid, index, status, self._stderr.take(index, status)))
-            case Launched(pids) as reply:
+            case protocol.Launched(pids) as reply:
                 self._pids.update(zip(pids, (tuple(config["index"]) for config in self._asked), strict=True))
                 self._reply = reply
-            case Refused() as reply:
+            case protocol.Refused() as reply:
                 self._reply = reply
-            case ControlEnds():
+            case protocol.ControlEnds():
                 pass  # they wait in the channel for the end of the launch
             case unknown:
                 assert_never(unknown)
@@ -359,7 +346,7 @@ class ForkServerClient:
     def _end_processes(self, timeout: float) -> None:
         self._on_warming = None
         try:
-            self._order(End())
+            self._order(protocol.End())
             if not self.warm:
                 self._kill(signal.SIGTERM)  # it is busy compiling, and does not listen
             self._wait_gone(0.0 if self.stopped or self.deaf else timeout)

@@ -9,9 +9,8 @@ from raygrid.emulator.processes.fork_server_client import ForkServerClient
 from raygrid.emulator.processes.node_processes import ProcessState
 
 LOOK_SECONDS = 0.25  # how often the states of silent processes are looked at
-STOPPED_SECONDS = (
-    0.75  # for longer than this a process that is stopped (SIGSTOP), or dead without a word of it, is lost
-)
+# for longer than this a process that is stopped (SIGSTOP), or dead without a word of it, is lost
+STOPPED_SECONDS = 0.75
 
 
 class ProcessWatch:

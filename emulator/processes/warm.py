@@ -20,34 +20,11 @@ from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.emulator.partition.cost_grid import is_cached
 from raygrid.emulator.partition.split import split
 from raygrid.emulator.processes.kernel_kinds import NODES, NOTE, TIMED_NODES, compiling
-from raygrid.node import remarks
+from raygrid.node import geometry, protocol, remarks
 from raygrid.node.errors import ArrayError
-from raygrid.node.geometry import (
-    LATTICE,
-    MOTION_SHIFT,
-    STORED_AS,
-    Batch,
-    Kind,
-    Moves,
-    SurfaceSet,
-    World,
-    at_rest,
-    make_groups,
-    make_space,
-)
 from raygrid.node.jit import cache, compiling_heard_by
 from raygrid.node.links import find_functions
-from raygrid.node.protocol import (
-    COUNTS,
-    HEAD,
-    LIGHT_COLUMNS,
-    MATERIAL_COLUMNS,
-    MAX_PIXEL_SAMPLES,
-    Frame,
-    Prices,
-    prices_order,
-)
-from raygrid.node.runtime import profile
+from raygrid.node.runtime import profile, tiny_frame
 from raygrid.node.tracing import add_missed
 
 Report = Callable[[int, int, str], None]
@@ -107,27 +84,22 @@ def warm(report: Report) -> None:
     with _helped(), told_of(report, NODES, KERNELS) as compilations:
         find_functions()
         array = MemoryArray((2, 1, 1))
-        half = LATTICE // 2
-        space = make_space((2.0**-24, 2.0**-24, 2.0**-24), [[0, half, LATTICE], [0, LATTICE], [0, LATTICE]])
+        space = _two_cells()
         frame = tiny_frame()
         array.driver.ready()
-        moves = Moves(make_groups(np.zeros(1, np.int64), np.zeros(1, np.int64), 1), at_rest(1))
+        groups = geometry.make_groups(np.zeros(1, np.int64), np.zeros(1, np.int64), 1)
+        moves = geometry.Moves(groups, geometry.at_rest(1))
         array.driver.load(space, _one_of_each(), moves)
         moved = moves.motions.copy()
-        moved[0, MOTION_SHIFT] = 1e-3
+        moved[0, geometry.MOTION_SHIFT] = 1e-3
         array.driver.move(moves._replace(motions=moved))
         array.driver.trace(frame)
         sums, _ = array.driver.collect(frame.width * frame.height)
         add_missed(frame, space.step, sums)
         if compilations.done or not is_cached():  # nodes do not need these, so they are not loaded for them
-            split(
-                "balanced",
-                (2, 1, 1),
-                World(np.zeros(3), 1.0, space.step),
-                _one_of_each(),
-                frame._replace(samples=1 << 18),
-            )
-            Collected(0, MAX_PIXEL_SAMPLES).take(bytes(HEAD), 0)
+            world, large = geometry.World(np.zeros(3), 1.0, space.step), frame._replace(samples=1 << 18)
+            split("balanced", (2, 1, 1), world, _one_of_each(), large)
+            Collected(0, protocol.MAX_PIXEL_SAMPLES).take(bytes(protocol.HEAD), 0)
             profile.warm(array.processors[0].node_state)
     report(KERNELS, KERNELS, "ready")
 
@@ -137,38 +109,35 @@ def warm_timed(report: Report) -> None:
     warm(report)
     with _helped(), told_of(report, TIMED_NODES, TIMED_KERNELS):
         array = MemoryArray((2, 1, 1), timed=True)
-        half = LATTICE // 2
-        space = make_space((2.0**-24, 2.0**-24, 2.0**-24), [[0, half, LATTICE], [0, LATTICE], [0, LATTICE]])
-        prices = Prices(np.ones(COUNTS, np.int64), 1, 1, 1, 0)
+        prices = protocol.Prices(np.ones(protocol.COUNTS, np.int64), 1, 1, 1, 0)
         array.driver.ready()
-        array.driver.load(space, _one_of_each())
-        array.driver.trace(tiny_frame(), prices=prices_order(prices, np.zeros(len(Kind), np.int64)))
+        array.driver.load(_two_cells(), _one_of_each())
+        array.driver.trace(tiny_frame(), prices=protocol.prices_order(prices, np.zeros(len(geometry.Kind), np.int64)))
     report(KERNELS, KERNELS, "ready")
 
 
-def _one_of_each() -> SurfaceSet:
+def _two_cells() -> geometry.Space:
+    """Two cells beside each other along x."""
+    whole = [0, geometry.LATTICE]
+    return geometry.make_space((2.0**-24,) * 3, [[0, geometry.LATTICE // 2, geometry.LATTICE], whole, whole])
+
+
+def _one_of_each() -> geometry.SurfaceSet:
     """One surface of each kind, across the border between the two cells."""
     flat = [[-0.3, -0.3, 0.0], [0.3, -0.3, 0.01], [0.0, 0.3, 0.02]]
     rows = {
-        Kind.TRIANGLE: np.array(flat).reshape(1, 9),
-        Kind.SMOOTH: np.concatenate((np.array(flat).ravel() + 0.02, np.tile([0.0, 0.0, 1.0], 3))).reshape(1, 18),
-        Kind.POLYGON: np.concatenate((flat, [[-0.3, 0.3, 0.01]])) + 0.05,
-        Kind.SPHERE: np.array([[0.0, 0.0, -0.2, 0.1]]),
-        Kind.CYLINDER: np.array([[-0.2, 0.0, 0.2, 0.05, 0.2, 0.0, 0.2, 0.05]]),
-        Kind.CONE: np.array([[-0.2, 0.2, 0.2, 0.1, 0.2, 0.2, 0.2, 0.02]]),
+        geometry.Kind.TRIANGLE: np.array(flat).reshape(1, 9),
+        geometry.Kind.SMOOTH: np.concatenate((np.array(flat).ravel() + 0.02, np.tile([0.0, 0.0, 1.0], 3))).reshape(
+            1, 18
+        ),
+        geometry.Kind.POLYGON: np.concatenate((flat, [[-0.3, 0.3, 0.01]])) + 0.05,
+        geometry.Kind.SPHERE: np.array([[0.0, 0.0, -0.2, 0.1]]),
+        geometry.Kind.CYLINDER: np.array([[-0.2, 0.0, 0.2, 0.05, 0.2, 0.0, 0.2, 0.05]]),
+        geometry.Kind.CONE: np.array([[-0.2, 0.2, 0.2, 0.1, 0.2, 0.2, 0.2, 0.02]]),
     }
     batches = []
     for number, (kind, data) in enumerate(rows.items()):
-        starts = np.array([0, 4]) if kind == Kind.POLYGON else np.zeros(0, np.int64)
+        starts = np.array([0, 4]) if kind == geometry.Kind.POLYGON else np.zeros(0, np.int64)
         ids, materials = np.array([number], np.uint32), np.zeros(1, np.uint16)
-        batches.append(Batch(kind, ids, materials, data.astype(STORED_AS[kind]), starts))
-    return SurfaceSet(tuple(batches))
-
-
-def tiny_frame() -> Frame:
-    """A small frame with lights of both kinds."""
-    rows = ((0.0, 0.0, 2.0), (0.0,) * 3, (0.0,) * 3, (-0.2, 0.2, -1.0), (0.05, 0.0, 0.0), (0.0, -0.05, 0.0))
-    camera = np.array(rows)
-    materials, lights = np.full((1, MATERIAL_COLUMNS), 0.5), np.zeros((2, LIGHT_COLUMNS))
-    lights[0, :7], lights[1, :7] = (0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0), (1.0, 0.3, 0.3, 0.6, 1.0, 1.0, 1.0)
-    return Frame(camera, materials, lights, 2, (0.1, 0.1, 0.1), 8, 8, 1, 3, 0.0, False)
+        batches.append(geometry.Batch(kind, ids, materials, data.astype(geometry.STORED_AS[kind]), starts))
+    return geometry.SurfaceSet(tuple(batches))

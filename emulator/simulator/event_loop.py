@@ -25,7 +25,6 @@ from raygrid.node.protocol import (
     COUNTS,
     DIED,
     HEAD,
-    KINDS,
     NEVER_TICK,
     PIXEL,
     PRIMARY,
@@ -332,6 +331,3 @@ def enter_all(timed, wheel):
     for k in range(len(timed.nodes)):
         if timed.nodes[k]["next_primary"] < timed.nodes[k]["last_primary"]:
             _enter(wheel, timed.nodes, k, timed.nodes[k]["free"])
-
-
-assert PRIMARY < KINDS

@@ -11,15 +11,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from raygrid.emulator.simulator.kernels import run_flood
-from raygrid.emulator.simulator.shared_tables import described
+from raygrid.emulator.simulator.shared_tables import Long, described
 from raygrid.emulator.topology.topology import nearest_corners
 from raygrid.node.geometry import HALF, Space, SurfaceSet
 from raygrid.node.protocol import SENT, Prices
-
-Long = NDArray[np.int64]
 
 
 class Flooded(NamedTuple):

@@ -17,25 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.emulator.simulator.kernels import relocate_leaves, touched_cells
-from raygrid.node.geometry import (
-    COUNT_SHIFT,
-    HALF,
-    KIND_SHIFT,
-    LATTICE,
-    NODE_WORDS,
-    SLACK,
-    STORED_AS,
-    AnyKind,
-    Batch,
-    Kind,
-    Space,
-    Surfaces,
-    SurfaceSet,
-    build,
-    make_cell,
-    make_space,
-    merge,
-)
+from raygrid.node import geometry
 from raygrid.node.tracing import build_surfaces, empty_surfaces
 
 Long = NDArray[np.int64]
@@ -54,9 +36,9 @@ class SharedGeometry(NamedTuple):
     held: Long
 
 
-def ordered(surfaces: SurfaceSet) -> SurfaceSet:
+def ordered(surfaces: geometry.SurfaceSet) -> geometry.SurfaceSet:
     """One batch a kind, in the order of ids, as a node has them."""
-    return SurfaceSet(tuple(batch.select(np.argsort(batch.ids)) for batch in merge(surfaces)))
+    return geometry.SurfaceSet(tuple(batch.select(np.argsort(batch.ids)) for batch in geometry.merge(surfaces)))
 
 
 class Described(NamedTuple):
@@ -80,7 +62,7 @@ class Described(NamedTuple):
 NAMED = 6  # bytes of a description's id and material
 
 
-def described(surfaces: SurfaceSet) -> Described:
+def described(surfaces: geometry.SurfaceSet) -> Described:
     """The surfaces, which must be `ordered`, at most one batch a kind."""
     n = len(surfaces)
     kinds, rows, sizes = np.zeros(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64)
@@ -89,24 +71,24 @@ def described(surfaces: SurfaceSet) -> Described:
     for batch in surfaces:
         last = first + len(batch)
         kinds[first:last], rows[first:last], boxes[first:last] = int(batch.kind), np.arange(len(batch)), batch.bounds()
-        if batch.kind == Kind.POLYGON:
+        if batch.kind == geometry.Kind.POLYGON:
             points, starts[first : last + 1] = np.ascontiguousarray(batch.data, np.float64), batch.starts
             sizes[first:last] = NAMED + 4 + 24 * np.diff(batch.starts)
         else:
             table[first:last, : batch.data.shape[1]] = batch.data
-            sizes[first:last] = NAMED + batch.data.shape[1] * np.dtype(STORED_AS[batch.kind]).itemsize
+            sizes[first:last] = NAMED + batch.data.shape[1] * np.dtype(geometry.STORED_AS[batch.kind]).itemsize
         first = last
     return Described(kinds, rows, table, points, starts, boxes, sizes)
 
 
-def shared_geometry(surfaces: SurfaceSet, space: Space) -> SharedGeometry:
+def shared_geometry(surfaces: geometry.SurfaceSet, space: geometry.Space) -> SharedGeometry:
     """What each cell holds of surfaces in the order of `ordered`."""
     nx, ny, nz = space.shape
     low_at, high_at = (np.zeros((3, max(space.shape))) for _ in range(2))
     for axis in range(3):
-        planes = (space.planes[axis, : space.shape[axis] + 1] - HALF) * space.step[axis]
-        low_at[axis, : space.shape[axis]] = planes[:-1] - SLACK
-        high_at[axis, : space.shape[axis]] = planes[1:] + SLACK
+        planes = (space.planes[axis, : space.shape[axis] + 1] - geometry.HALF) * space.step[axis]
+        low_at[axis, : space.shape[axis]] = planes[:-1] - geometry.SLACK
+        high_at[axis, : space.shape[axis]] = planes[1:] + geometry.SLACK
     every = described(surfaces)
     many, room = 8 * len(surfaces), 0
     while many > room:
@@ -116,25 +98,27 @@ def shared_geometry(surfaces: SurfaceSet, space: Space) -> SharedGeometry:
     cells, found = cells[:many], found[:many]
     order = np.lexsort((found, cells))
     kinds, rows = every.kinds[found[order]], every.rows[found[order]]
-    held = np.zeros((nx * ny * nz, len(Kind)), np.int64)
+    held = np.zeros((nx * ny * nz, len(geometry.Kind)), np.int64)
     np.add.at(held, (cells[order], kinds), 1)
     return SharedGeometry(cells[order], kinds, rows, held)
 
 
-def whole_world(space: Space) -> Space:
+def whole_world(space: geometry.Space) -> geometry.Space:
     """The same world box as one cell."""
-    return make_space(space.step, [[0, LATTICE]] * 3)
+    return geometry.make_space(space.step, [[0, geometry.LATTICE]] * 3)
 
 
-def one_hierarchy(surfaces: SurfaceSet, space: Space, held: SharedGeometry) -> tuple[Surfaces, Long]:
+def one_hierarchy(
+    surfaces: geometry.SurfaceSet, space: geometry.Space, held: SharedGeometry
+) -> tuple[geometry.Surfaces, Long]:
     """(tables, roots int64 (cells, 2)): all nodes look into one hierarchy, those that hold nothing into none."""
-    built = build_surfaces(surfaces, make_cell(whole_world(space), (0, 0, 0)))
+    built = build_surfaces(surfaces, geometry.make_cell(whole_world(space), (0, 0, 0)))
     roots = np.zeros((len(held.held), 2), np.int64)
     roots[held.held.any(axis=1), 1] = len(built.floats)
     return built, roots
 
 
-def trees(surfaces: SurfaceSet, space: Space, held: SharedGeometry) -> tuple[Surfaces, Long]:
+def trees(surfaces: geometry.SurfaceSet, space: geometry.Space, held: SharedGeometry) -> tuple[geometry.Surfaces, Long]:
     """(tables, roots int64 (cells, 2)): each node has the hierarchy that it would build itself."""
     roots = np.zeros((len(held.held), 2), np.int64)
     by_kind = {batch.kind: batch for batch in surfaces}
@@ -149,12 +133,12 @@ def trees(surfaces: SurfaceSet, space: Space, held: SharedGeometry) -> tuple[Sur
     nx, ny, _ = space.shape
     for first, last in zip(borders[:-1].tolist(), borders[1:].tolist(), strict=True):
         number = int(held.cells[first])
-        cell = make_cell(space, (number % nx, number // nx % ny, number // (nx * ny)))
+        cell = geometry.make_cell(space, (number % nx, number // nx % ny, number // (nx * ny)))
         box = everywhere[first:last]
-        box[:, 0] = np.maximum(box[:, 0], np.array(cell.low_at) - 2 * SLACK)
-        box[:, 1] = np.minimum(box[:, 1], np.array(cell.high_at) + 2 * SLACK)
+        box[:, 0] = np.maximum(box[:, 0], np.array(cell.low_at) - 2 * geometry.SLACK)
+        box[:, 1] = np.minimum(box[:, 1], np.array(cell.high_at) + 2 * geometry.SLACK)
         box[:, 0] = np.minimum(box[:, 0], box[:, 1])
-        within, floats = build(box, held.kinds[first:last].astype(np.int8))
+        within, floats = geometry.build(box, held.kinds[first:last].astype(np.int8))
         order[first:last] = first + within
         relocate_leaves(floats.view(np.uint32), first)
         roots[number] = nodes, nodes + len(floats)
@@ -163,20 +147,22 @@ def trees(surfaces: SurfaceSet, space: Space, held: SharedGeometry) -> tuple[Sur
     return _gathered(by_kind, held.kinds[order], held.rows[order], made), roots
 
 
-def _gathered(by_kind: dict[AnyKind, Batch], kinds: Long, rows: Long, made: list[NDArray[np.float32]]) -> Surfaces:
+def _gathered(
+    by_kind: dict[geometry.AnyKind, geometry.Batch], kinds: Long, rows: Long, made: list[NDArray[np.float32]]
+) -> geometry.Surfaces:
     """The tables of surfaces in the order of the leaves of all hierarchies; a surface is there once for each cell."""
-    floats = np.concatenate([np.zeros((0, NODE_WORDS), np.float32), *made])
-    items = kinds.astype(np.uint32) << np.uint32(KIND_SHIFT)
+    floats = np.concatenate([np.zeros((0, geometry.NODE_WORDS), np.float32), *made])
+    items = kinds.astype(np.uint32) << np.uint32(geometry.KIND_SHIFT)
     ids, materials = np.zeros(len(kinds), np.uint32), np.zeros(len(kinds), np.uint16)
     columns: dict[str, Any] = {}
     cones = 0
-    for kind in Kind:
+    for kind in geometry.Kind:
         mine = kinds == kind
         if kind not in by_kind:
             continue
         batch, chosen = by_kind[kind], rows[mine]
-        first = cones if kind == Kind.CONE else 0
-        cones = len(chosen) if kind == Kind.CYLINDER else cones
+        first = cones if kind == geometry.Kind.CONE else 0
+        cones = len(chosen) if kind == geometry.Kind.CYLINDER else cones
         items[mine] |= np.arange(first, first + len(chosen), dtype=np.uint32)
         ids[mine], materials[mine] = batch.ids[chosen], batch.materials[chosen]
         alone = _alone(batch)
@@ -190,10 +176,10 @@ def _gathered(by_kind: dict[AnyKind, Batch], kinds: Long, rows: Long, made: list
     )
 
 
-def _alone(batch: Batch) -> Surfaces:
+def _alone(batch: geometry.Batch) -> geometry.Surfaces:
     """The tables of one kind, in the order of the batch: a leaf a surface keeps no order, so it is put back."""
-    space = make_space((2.0**-23,) * 3, [[0, LATTICE]] * 3)
-    built = build_surfaces(SurfaceSet((batch,)), make_cell(space, (0, 0, 0)))
+    space = geometry.make_space((2.0**-23,) * 3, [[0, geometry.LATTICE]] * 3)
+    built = build_surfaces(geometry.SurfaceSet((batch,)), geometry.make_cell(space, (0, 0, 0)))
     back = np.argsort(built.ids)  # batches are in the order of ids
     tables = {
         name: table[back]
@@ -203,17 +189,14 @@ def _alone(batch: Batch) -> Surfaces:
     return built._replace(**tables)
 
 
-def _tables_of(kind: Kind, built: Surfaces) -> dict[str, Any]:
+def _tables_of(kind: geometry.Kind, built: geometry.Surfaces) -> dict[str, Any]:
     names = {
-        Kind.TRIANGLE: ("triangles",),
-        Kind.SMOOTH: ("smooth",),
-        Kind.SPHERE: ("spheres",),
-        Kind.CYLINDER: ("cones",),
-        Kind.CONE: ("cones",),
-        Kind.POLYGON: ("planes", "headers", "bins", "edges"),
+        geometry.Kind.TRIANGLE: ("triangles",),
+        geometry.Kind.SMOOTH: ("smooth",),
+        geometry.Kind.SPHERE: ("spheres",),
+        geometry.Kind.CYLINDER: ("cones",),
+        geometry.Kind.CONE: ("cones",),
+        geometry.Kind.POLYGON: ("planes", "headers", "bins", "edges"),
     }
     every = built._asdict()
     return {name: every[name] for name in names[kind]}
-
-
-assert COUNT_SHIFT == 28

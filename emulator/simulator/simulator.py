@@ -14,31 +14,13 @@ from numpy.typing import NDArray
 
 from raygrid.emulator.processes import compile_clock
 from raygrid.emulator.simulator import event_loop
-from raygrid.emulator.simulator.event_loop import (
-    BINS,
-    HOPS,
-    LOOP_STATE,
-    STRETCHES,
-    PrimaryOrder,
-    Simulation,
-    Watch,
-    Wheel,
-    enter_all,
-    run,
-)
 from raygrid.emulator.simulator.sample_order import order_of_pixels, order_of_samples
 from raygrid.emulator.simulator.shared_tables import one_hierarchy, ordered, shared_geometry, trees
 from raygrid.emulator.topology.limits import check_simulated_fits, read_memory
 from raygrid.node.errors import ArrayError, TooLarge
 from raygrid.node.geometry import DEPTH, Space, Surfaces, SurfaceSet
 from raygrid.node.protocol import BORN, COUNTS, DIED, KINDS, SIZE, Frame, Prices
-from raygrid.node.timed import (
-    CLOCK_RECORD,
-    RECORD_BYTES,
-    ServiceClock,
-    grown,
-    make_service_clock,
-)
+from raygrid.node.timed import CLOCK_RECORD, RECORD_BYTES, ServiceClock, grown, make_service_clock
 from raygrid.node.tracing import Pixels, make_outputs
 
 Long = NDArray[np.int64]
@@ -168,7 +150,7 @@ def whole_picture(frame: Frame) -> Pixels:
 def trace(model: Model, prices: Prices, list_ticks: Long, tell: Tell | None = None) -> tuple[Phase, Pixels]:
     """Trace the frame. `list_ticks` int64 (n,): what each walk costs in each node beside its price."""
     pixels = whole_picture(model.frame)
-    primaries = PrimaryOrder(model.samples, False)
+    primaries = event_loop.PrimaryOrder(model.samples, False)
     phase = _run(model, prices, list_ticks, primaries, model.borders, pixels, tell, "trace")
     born, died = phase.total[BORN : BORN + KINDS], phase.total[DIED : DIED + KINDS]
     if not np.array_equal(born, died):
@@ -179,7 +161,7 @@ def trace(model: Model, prices: Prices, list_ticks: Long, tell: Tell | None = No
 def read_out(model: Model, prices: Prices, pixels: Pixels, tell: Tell | None = None) -> Phase:
     """Send all pixels from their homes to the host, as after a frame."""
     numbers, borders = order_of_pixels(model.frame, model.samples, model.borders)
-    primaries = PrimaryOrder(numbers, True)
+    primaries = event_loop.PrimaryOrder(numbers, True)
     return _run(model, prices, np.zeros(model.nodes, np.int64), primaries, borders, pixels, tell, "read-out")
 
 
@@ -187,7 +169,7 @@ def _run(
     model: Model,
     prices: Prices,
     list_ticks: Long,
-    primaries: PrimaryOrder,
+    primaries: event_loop.PrimaryOrder,
     borders: Long,
     pixels: Pixels,
     tell: Tell | None,
@@ -199,18 +181,19 @@ def _run(
     timed.nodes["list_ticks"] = list_ticks
     timed.nodes["next_primary"], timed.nodes["last_primary"] = borders[:-1], borders[1:]
     shift = prices.lookahead.bit_length() - 1
-    wheel = Wheel(np.full(STRETCHES, -1, np.int64), shift, np.zeros(1, LOOP_STATE))
-    watch = Watch(np.zeros(COUNTS, np.int64), np.zeros((KINDS, HOPS), np.int64), np.zeros((3, BINS), np.int64))
+    wheel = event_loop.Wheel(np.full(event_loop.STRETCHES, -1, np.int64), shift, np.zeros(1, event_loop.LOOP_STATE))
+    hops, bins = np.zeros((KINDS, event_loop.HOPS), np.int64), np.zeros((3, event_loop.BINS), np.int64)
+    watch = event_loop.Watch(np.zeros(COUNTS, np.int64), hops, bins)
     outputs = make_outputs(2 * (model.frame.n_lights + 4), DEPTH)
     counts, scratch = np.zeros(COUNTS, np.int64), np.zeros(SIZE, np.uint8)
-    enter_all(timed, wheel)
-    simulation = Simulation(
+    event_loop.enter_all(timed, wheel)
+    simulation = event_loop.Simulation(
         timed, wheel, watch, model.space, model.frame, model.surfaces, model.roots, pixels, primaries, scratch,
         outputs, counts, prices,
     )  # fmt: skip
     state = wheel.state[0]  # a view, so it stays up to date
     while True:
-        why = run(simulation, TURN_EVENTS)
+        why = event_loop.run(simulation, TURN_EVENTS)
         if why == event_loop.DONE:
             break
         if why == event_loop.NO_ROOM:
@@ -241,11 +224,3 @@ def _with_more_room(timed: ServiceClock) -> ServiceClock:
             f"{there.limit} leaves {max(there.left, 0) / 1e9:.1f} GB"
         )
     return grown(timed, room)
-
-
-def list_ticks_of(held: Long, tests: Long) -> Long:
-    """Ticks of testing every surface held, int64 (n,), from the price of a test of each kind, int64 (6,)."""
-    return np.asarray(held @ tests, np.int64)
-
-
-__all__ = ["Model", "Phase", "make_model", "read_out", "trace"]

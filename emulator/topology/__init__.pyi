@@ -1,6 +1,4 @@
-from .coordinates import Index as Index
 from .coordinates import indices as indices
-from .coordinates import name_of as name_of
 from .limits import UNLIMITED as UNLIMITED
 from .limits import Bound as Bound
 from .limits import Resources as Resources

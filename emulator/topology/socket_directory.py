@@ -92,14 +92,6 @@ class SocketDirectory:
             " can be written, and is short: set XDG_RUNTIME_DIR or TMPDIR"
         )
 
-    def endpoint(self, epoch: int, index: Index, axis: int) -> str:
-        """The name of the link between the node at `index` and its + neighbour on `axis`."""
-        return endpoint(self.path, epoch, index, axis)
-
-    def host_endpoint(self, epoch: int, corner: Index) -> str:
-        """The name of the link between the host and the corner node at index `corner`."""
-        return host_endpoint(self.path, epoch, corner)
-
     def forget_epochs_before(self, epoch: int) -> None:
         """Remove the sockets of earlier epochs that killed processes left. Never raises OSError."""
         with suppress(OSError), os.scandir(self.path) as entries:

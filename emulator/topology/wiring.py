@@ -26,17 +26,8 @@ def node_configs(shape: Index, place: str, epoch: int, machine: str, **more: Any
         links[wire.upper].append({"port": wire.upper_port, "endpoint": name, "bind": False})
     for index in corners(shape).values():
         links[index].append({"port": HOST, "endpoint": host_endpoint(place, epoch, index), "bind": False})
-    return {
-        index: {
-            "index": list(index),
-            "shape": list(shape),
-            "epoch": epoch,
-            "machine": machine,
-            "links": links[index],
-            **more,
-        }
-        for index in indices(shape)
-    }
+    shared = {"shape": list(shape), "epoch": epoch, "machine": machine, **more}
+    return {index: {"index": list(index), "links": links[index], **shared} for index in indices(shape)}
 
 
 def reset_order(config: Config) -> Config:

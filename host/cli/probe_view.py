@@ -8,29 +8,19 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
 
 from raygrid.host.probes.sums import Gauges, NodeFigures
-
-if TYPE_CHECKING:
-    from rich.console import RenderableType
-    from rich.text import Text
 
 MOST_ROWS = 16  # of the table: the busiest nodes
 LEAST_ROWS = 3  # of the table, before maps are made smaller
 WIDTH, HEIGHT = 120, 1000  # where there is no terminal
 SHADES = " .:-=+*#%@"
-FROM = (
-    0.02,
-    0.04,
-    0.06,
-    0.1,
-    0.15,
-    0.25,
-    0.4,
-    0.6,
-    0.8,
-)  # shares of a processor from which each shade but the first is
+# shares of a processor from which each shade but the first is
+FROM = (0.02, 0.04, 0.06, 0.1, 0.15, 0.25, 0.4, 0.6, 0.8)
 COLOURS = ("", "grey30", "grey42", "blue", "dark_cyan", "green", "yellow4", "dark_orange", "red3", "red")
 UNKNOWN = "?"
 GAP = 3  # blanks between maps
@@ -51,9 +41,6 @@ COLUMNS = (
 
 def view(gauges: Gauges, width: int = WIDTH, height: int = HEIGHT, head: str | None = None) -> RenderableType:
     """All that is to be seen at one moment, in so many columns and lines. head: a line before all else."""
-    from rich.console import Group
-    from rich.text import Text
-
     lines = [*([] if head is None else [head]), *summary(gauges)]
     text = [Text(line, no_wrap=True, overflow="ellipsis") for line in lines]
     room = height - len(text) - 2 - 2  # the scale and the axes; the table's names and what it lacks
@@ -79,8 +66,6 @@ def summary(gauges: Gauges) -> tuple[str, str]:
 
 def node_table(gauges: Gauges, width: int = WIDTH, rows: int = MOST_ROWS) -> RenderableType:
     """The busiest nodes, the busiest first."""
-    from rich.table import Table
-
     shown = _columns(width)
     table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
     for name in shown:
@@ -177,8 +162,6 @@ def _busiest_layers(gauges: Gauges, most: int) -> list[int]:
 
 
 def _beside(parts: Sequence[Text]) -> Text:
-    from rich.text import Text
-
     line = Text(no_wrap=True)
     for number, part in enumerate(parts):
         line.append(" " * GAP if number else "")
@@ -196,15 +179,11 @@ class _Layer:
 
     def lines(self) -> list[Text]:
         """All of it."""
-        from rich.text import Text
-
         wide = self._gutter + 1 + self._columns * self._cell
         head = Text(f"z={self._z}"[:wide].ljust(wide))
         return [head, *(self._row(y) for y in reversed(range(self._rows))), Text(self._below().ljust(wide), "dim")]
 
     def _row(self, y: int) -> Text:
-        from rich.text import Text
-
         line = Text()
         line.append(f"{y * self._several}|".rjust(self._gutter + 1), "dim")
         for x in range(self._columns):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import sys
 import time
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -56,9 +55,7 @@ class ProgressReporter:
                 raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._bar is not None:
             self._bar.stop()
             self._bar = None
@@ -125,14 +122,8 @@ class ProgressReporter:
             self._print(f"compiling the kernels of {kind} ({which}), once on this computer: a minute")
             self.phase("", total)
         if self._bar is not None:
-            detail = f"{done} of {total}"
-            self._bar.update(
-                self._task,
-                completed=done,
-                total=total,
-                description=what.removesuffix(f" for {kind}")[:32],
-                detail=detail,
-            )
+            words = {"description": what.removesuffix(f" for {kind}")[:32], "detail": f"{done} of {total}"}
+            self._bar.update(self._task, completed=done, total=total, **words)
 
     def shot(self, frames: int) -> None:
         """What follows are so many frames of a shot, and the bar shows how much of them all is done; 0: no more."""

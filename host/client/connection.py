@@ -158,7 +158,7 @@ class Connection:
                     before = list(self._slots)
                 # One after the other is answered, so who waits behind a reset gets the same time after it.
                 if not any(not other.abandoned for other in before[: before.index(slot)] if slot in before):
-                    raise self._silent(seconds)
+                    raise _silent(self.record, seconds)
         finally:
             slot.abandoned = True
 
@@ -166,7 +166,7 @@ class Connection:
         """Put a request behind those of other threads. One of which only a part could be sent ends the connection."""
         deadline = time.monotonic() + seconds
         if not self._sending.acquire(timeout=seconds):
-            raise self._silent(seconds)
+            raise _silent(self.record, seconds)
         try:
             with self._changed:
                 if self._broken:
@@ -177,7 +177,7 @@ class Connection:
                 while left:
                     left = left[self._put(left, deadline) :]
             except TimeoutError:
-                raise self._silent(seconds) from None
+                raise _silent(self.record, seconds) from None
             finally:
                 if left:
                     self._give_up(slot, untouched=len(left) == len(data))
@@ -285,9 +285,6 @@ class Connection:
         if self._broken != "closed":
             return f"the connection to the array {name!r} (process {pid}) is of no use: {self._broken}"
         return f"the array {name!r} has closed the connection" + (f": {self._parting}" if self._parting else "")
-
-    def _silent(self, seconds: float) -> ArrayError:
-        return _silent(self.record, seconds)
 
     def close(self) -> None:
         """Close, whoever waits; jobs go on. May be called twice."""

@@ -24,38 +24,23 @@ from raygrid.host.client.protocol import Message, shown
 from raygrid.host.image.frames import LAST_FRAME, MOST_FRAMES, check_job
 from raygrid.host.render.given_settings import GivenSettings, parted
 from raygrid.host.scene import view
-from raygrid.host.text.bounds import (
-    LONGEST_CLIENT,
-    LONGEST_PATH,
-    MAX_BUDGET,
-    MAX_DEPTH,
-    MAX_FRAMES,
-    MAX_JOB,
-    MAX_PIXELS,
-    MAX_PRIORITY,
-    MAX_RATE,
-    MAX_SAMPLES,
-    MAX_SIDE,
-    MAX_WEIGHT,
-    MOST_LISTED,
-    MOST_OUTPUTS,
-)
+from raygrid.host.text import bounds
 from raygrid.node.errors import OutputError, ProtocolError, SceneError
 
-_PATH = f"an absolute path of at most {LONGEST_PATH} characters"
+_PATH = f"an absolute path of at most {bounds.LONGEST_PATH} characters"
 _SWITCH = "true or false"
 # What is to stand where something else came, in words; a number's bounds are those below.
 WANTED = {
     "do": "submit, follow, cancel, jobs, status, probe, reset or down",
     "scene": _PATH,
-    "outputs": f"1 to {MOST_OUTPUTS} absolute paths of at most {LONGEST_PATH} characters",
+    "outputs": f"1 to {bounds.MOST_OUTPUTS} absolute paths of at most {bounds.LONGEST_PATH} characters",
     "stats": _PATH,
     "program": _PATH,
     "settings": "a map",
-    "settings.size": f"sides of 1 to {MAX_SIDE} and at most {MAX_PIXELS:,} pixels, such as 640x480",
-    "settings.samples": f"a whole number from 1 to {MAX_SAMPLES}",
-    "settings.depth": f"a whole number from 1 to {MAX_DEPTH}",
-    "settings.min_weight": f"a number from 0 to {MAX_WEIGHT}",
+    "settings.size": f"sides of 1 to {bounds.MAX_SIDE} and at most {bounds.MAX_PIXELS:,} pixels, such as 640x480",
+    "settings.samples": f"a whole number from 1 to {bounds.MAX_SAMPLES}",
+    "settings.depth": f"a whole number from 1 to {bounds.MAX_DEPTH}",
+    "settings.min_weight": f"a number from 0 to {bounds.MAX_WEIGHT}",
     "settings.highlights": _SWITCH,
     "settings.split": "balanced or uniform",
     **{f"settings.{name}": view.THREE for name in ("eye", "at", "up")},
@@ -67,19 +52,19 @@ WANTED = {
     "settings.crease": view.CREASE,
     "frames": f"the first and the last of at most {MOST_FRAMES:,} frames, from 1 to {LAST_FRAME}",
     "turntable": "a number of frames",
-    "turntable.frames": f"a whole number from 1 to {MAX_FRAMES:,}",
+    "turntable.frames": f"a whole number from 1 to {bounds.MAX_FRAMES:,}",
     "turntable.scene": _SWITCH,
     "transfer": "srgb or linear",
-    "budget": f"a whole number from 1 to {MAX_BUDGET}",
+    "budget": f"a whole number from 1 to {bounds.MAX_BUDGET}",
     "resume": _SWITCH,
-    "priority": f"a whole number from -{MAX_PRIORITY} to {MAX_PRIORITY}",
-    "client": f"text of at most {LONGEST_CLIENT} characters",
+    "priority": f"a whole number from -{bounds.MAX_PRIORITY} to {bounds.MAX_PRIORITY}",
+    "client": f"text of at most {bounds.LONGEST_CLIENT} characters",
     "follow": _SWITCH,
     "job": "the number of a job",
-    "jobs": f"the numbers of at most {MOST_LISTED:,} jobs",
-    "ended": f"a whole number from 0 to {MOST_LISTED:,}",
+    "jobs": f"the numbers of at most {bounds.MOST_LISTED:,} jobs",
+    "ended": f"a whole number from 0 to {bounds.MOST_LISTED:,}",
     "after": "the number of a job, or 0",
-    "rate": f"0 to {MAX_RATE:g} samples a second",
+    "rate": f"0 to {bounds.MAX_RATE:g} samples a second",
     "finish": _SWITCH,
     "cancel": _SWITCH,
 }
@@ -91,19 +76,19 @@ def _absolute(path: str) -> str:
     return path
 
 
-Side = Annotated[int, Field(ge=1, le=MAX_SIDE)]
+Side = Annotated[int, Field(ge=1, le=bounds.MAX_SIDE)]
 
 
 def _few_pixels(size: tuple[int, int]) -> tuple[int, int]:
-    if size[0] * size[1] > MAX_PIXELS:
-        raise ValueError(f"wanted at most {MAX_PIXELS} pixels")
+    if size[0] * size[1] > bounds.MAX_PIXELS:
+        raise ValueError(f"wanted at most {bounds.MAX_PIXELS} pixels")
     return size
 
 
 Size = Annotated[tuple[Side, Side], Strict(False), AfterValidator(_few_pixels)]  # msgpack has lists, no tuples
-Path = Annotated[str, Field(max_length=LONGEST_PATH), AfterValidator(_absolute)]
+Path = Annotated[str, Field(max_length=bounds.LONGEST_PATH), AfterValidator(_absolute)]
 Frame = Annotated[int, Field(ge=1, le=LAST_FRAME)]
-Number = Annotated[int, Field(ge=1, le=MAX_JOB)]
+Number = Annotated[int, Field(ge=1, le=bounds.MAX_JOB)]
 
 
 def _of_view(name: str) -> PlainValidator:
@@ -129,9 +114,9 @@ class SettingsOf(Strictly):
     """`raygrid.host.render.machine_job.Settings`."""
 
     size: Size | None = None
-    samples: Annotated[int, Field(ge=1, le=MAX_SAMPLES)] | None = None
-    depth: Annotated[int, Field(ge=1, le=MAX_DEPTH)] | None = None
-    min_weight: Annotated[float, Field(ge=0.0, le=MAX_WEIGHT)] | None = None
+    samples: Annotated[int, Field(ge=1, le=bounds.MAX_SAMPLES)] | None = None
+    depth: Annotated[int, Field(ge=1, le=bounds.MAX_DEPTH)] | None = None
+    min_weight: Annotated[float, Field(ge=0.0, le=bounds.MAX_WEIGHT)] | None = None
     highlights: bool | None = None
     split: Literal["balanced", "uniform"] = "balanced"
     eye: Annotated[Any, _of_view("eye")] = None
@@ -160,7 +145,7 @@ class SettingsOf(Strictly):
 class TurntableOf(Strictly):
     """`raygrid.host.scene.animation.turntable`: so many frames a turn; `scene`: the scene turns, not the camera."""
 
-    frames: Annotated[int, Field(ge=1, le=MAX_FRAMES)]
+    frames: Annotated[int, Field(ge=1, le=bounds.MAX_FRAMES)]
     scene: bool = False
 
 
@@ -181,15 +166,15 @@ class SubmitMessage(Strictly):
     scene: Path
     settings: SettingsOf = SettingsOf()
     frames: Annotated[tuple[Frame, Frame], Strict(False)] | None = None
-    outputs: Annotated[list[Path], Field(min_length=1, max_length=MOST_OUTPUTS)]
+    outputs: Annotated[list[Path], Field(min_length=1, max_length=bounds.MOST_OUTPUTS)]
     stats: Path | None = None
     transfer: Literal["srgb", "linear"] = "srgb"
-    budget: Annotated[int, Field(ge=1, le=MAX_BUDGET)] = 1 << 20
+    budget: Annotated[int, Field(ge=1, le=bounds.MAX_BUDGET)] = 1 << 20
     resume: bool = False
-    client: Annotated[str, Field(max_length=LONGEST_CLIENT)] = ""
+    client: Annotated[str, Field(max_length=bounds.LONGEST_CLIENT)] = ""
     turntable: TurntableOf | None = None
     program: Path | None = None
-    priority: Annotated[int, Field(ge=-MAX_PRIORITY, le=MAX_PRIORITY)] = 0
+    priority: Annotated[int, Field(ge=-bounds.MAX_PRIORITY, le=bounds.MAX_PRIORITY)] = 0
     follow: bool = Field(default=False, exclude=True)
 
     @model_validator(mode="after")
@@ -216,15 +201,15 @@ class CancelMessage(Strictly):
     """Cancel jobs; None: all."""
 
     do: Literal["cancel"]
-    jobs: Annotated[list[Number], Field(max_length=MOST_LISTED)] | None
+    jobs: Annotated[list[Number], Field(max_length=bounds.MOST_LISTED)] | None
 
 
 class JobsMessage(Strictly):
     """List jobs: those that have not ended, and the last `ended` of those that have. `after`: only higher numbers."""
 
     do: Literal["jobs"]
-    ended: Annotated[int, Field(ge=0, le=MOST_LISTED)] = 10
-    after: Annotated[int, Field(ge=0, le=MAX_JOB)] = 0
+    ended: Annotated[int, Field(ge=0, le=bounds.MOST_LISTED)] = 10
+    after: Annotated[int, Field(ge=0, le=bounds.MAX_JOB)] = 0
 
 
 class StatusMessage(Strictly):
@@ -237,7 +222,7 @@ class ProbeMessage(Strictly):
     """Tell how the nodes stand, `rate` times a second each, until the client leaves or asks for 0."""
 
     do: Literal["probe"]
-    rate: Annotated[float, Field(ge=0.0, le=MAX_RATE)]
+    rate: Annotated[float, Field(ge=0.0, le=bounds.MAX_RATE)]
 
 
 class ResetMessage(Strictly):

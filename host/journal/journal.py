@@ -133,15 +133,12 @@ class Journal:
         if version < VERSION:
             base.execute(f"pragma user_version = {VERSION}")
 
-    def _columns(self) -> list[str]:
-        return [name.decode(errors="replace") for _, name, *_ in self._base.execute("pragma table_info(jobs)")]
-
     def _check(self) -> None:
         """Raise Damaged if pages or columns are not as they should be, OutputError for a later version. Writes nothing."""
         with self._our_errors():
             (version,) = self._base.execute("pragma user_version").fetchone()
             (found,) = self._base.execute("pragma quick_check(1)").fetchone()
-            columns = self._columns()
+            columns = _names(self._base)
         if version > VERSION:
             raise OutputError(f"{self.path}: the journal has version {version}, wanted at most {VERSION}")
         wanted = [name for name in COLUMNS if version > 1 or name != "begun"]
@@ -276,11 +273,8 @@ class Journal:
         return {state.decode(errors="replace"): count for state, count in found}
 
     def _rows(self, which: str, values: Record) -> list[JobRow]:
-        done = "(select count(*) from frames where frames.job = jobs.job)"
-        skipped = "(select cast(coalesce(sum(skipped), 0) as integer) from frames where frames.job = jobs.job)"
         with self._our_errors():
-            found = self._base.execute(f"select {', '.join(COLUMNS)}, {done}, {skipped} from jobs {which}", values)
-            rows = found.fetchall()
+            rows = self._base.execute(f"select {columns_of(self._base)} from jobs {which}", values).fetchall()
         good = []
         for row in rows:
             try:
@@ -303,6 +297,19 @@ class Journal:
         """Close it. May be called twice."""
         with contextlib.suppress(sqlite3.Error):
             self._base.close()
+
+
+def columns_of(base: sqlite3.Connection) -> str:
+    """What is to be selected from the table of jobs for `read_row`, also from that of an earlier version."""
+    done = "(select count(*) from frames where frames.job = jobs.job)"
+    skipped = "(select cast(coalesce(sum(skipped), 0) as integer) from frames where frames.job = jobs.job)"
+    there = _names(base)
+    return ", ".join([*(name if name in there else f"null as {name}" for name in COLUMNS), done, skipped])
+
+
+def _names(base: sqlite3.Connection) -> list[str]:
+    """The names of the columns of the table of jobs."""
+    return [name.decode(errors="replace") for _, name, *_ in base.execute("pragma table_info(jobs)")]
 
 
 def read_row(row: Record) -> JobRow:

@@ -23,30 +23,11 @@ from raygrid.host.files.toml_reader import read_toml
 from raygrid.host.scene.builder import shown
 from raygrid.host.scene.formats.toml_errors import Key, located, shown_key
 from raygrid.host.text.misuse import CostMisuse
+from raygrid.node import protocol
 from raygrid.node.errors import CostError
 from raygrid.node.geometry import HOST, Kind
-from raygrid.node.protocol import (
-    BORN,
-    BOXES,
-    COUNTS,
-    DIED,
-    HITS,
-    HOMES,
-    PIXEL,
-    PRIMARY,
-    REFLECTED,
-    REFRACTED,
-    RETURN,
-    SENT,
-    SHADOW,
-    SIZE,
-    TESTS,
-    WALKS,
-    Prices,
-)
 
 LEVELS = ("low", "middle", "high")
-SEARCHES = ("list", "tree")
 MOST_TICKS = 10**12  # so that no sum of ticks leaves 64 bits
 LARGEST_FILE = 1 << 20  # bytes
 
@@ -148,29 +129,29 @@ class CostModel:
         k = LEVELS.index(level)
         return np.array([getattr(self.file.ticks.test, kind.name.lower())[k] for kind in Kind], np.int64)
 
-    def prices(self, level: str, search: str) -> Prices:
+    def prices(self, level: str, search: str) -> protocol.Prices:
         """What `node.timed.service_clock` reads. A list's tests are not in it: they depend on what a node holds."""
         k, ticks, link = LEVELS.index(level), self.file.ticks, self.file.link
-        counts = np.zeros(COUNTS, np.int64)
+        counts = np.zeros(protocol.COUNTS, np.int64)
         for count, cost in (
-            (WALKS, ticks.walk),
-            (HITS, ticks.hit),
-            (HOMES, ticks.home),
-            (BORN + SHADOW, ticks.shadow),
-            (BORN + REFLECTED, ticks.ray),
-            (BORN + REFRACTED, ticks.ray),
-            (BORN + RETURN, ticks.return_),
-            (BORN + PRIMARY, ticks.primary),
-            (BORN + PIXEL, ticks.pixel),
-            (DIED + RETURN, ticks.keep),
+            (protocol.WALKS, ticks.walk),
+            (protocol.HITS, ticks.hit),
+            (protocol.HOMES, ticks.home),
+            (protocol.BORN + protocol.SHADOW, ticks.shadow),
+            (protocol.BORN + protocol.REFLECTED, ticks.ray),
+            (protocol.BORN + protocol.REFRACTED, ticks.ray),
+            (protocol.BORN + protocol.RETURN, ticks.return_),
+            (protocol.BORN + protocol.PRIMARY, ticks.primary),
+            (protocol.BORN + protocol.PIXEL, ticks.pixel),
+            (protocol.DIED + protocol.RETURN, ticks.keep),
         ):
             counts[count] = cost[k]
-        counts[SENT : SENT + HOST + 1] = ticks.hand_on[k]
+        counts[protocol.SENT : protocol.SENT + HOST + 1] = ticks.hand_on[k]
         if search == "tree":
-            counts[BOXES] = ticks.box[k]
-            counts[TESTS : TESTS + len(Kind)] = self.tests(level)
-        transmit = -(-SIZE * self.file.hertz // link.bytes_per_second)
-        return Prices(counts, ticks.packet[k], transmit, link.latency[k], int(link.moves == "processor"))
+            counts[protocol.BOXES] = ticks.box[k]
+            counts[protocol.TESTS : protocol.TESTS + len(Kind)] = self.tests(level)
+        transmit = -(-protocol.SIZE * self.file.hertz // link.bytes_per_second)
+        return protocol.Prices(counts, ticks.packet[k], transmit, link.latency[k], int(link.moves == "processor"))
 
     def list_ticks(self, level: str, search: str, held: NDArray[np.int64]) -> NDArray[np.int64]:
         """Ticks of testing all that each node holds, int64 (n,); held int64 (n, 6). 0 for a tree."""

@@ -47,16 +47,11 @@ def save_plots(folder: str | Path, done: Simulated) -> list[str]:
     phase, shape = done.frames["middle"], done.job.space.shape
     busy = phase.column("busy") / max(phase.ticks, 1)
     prices = done.cost.prices("middle", done.search)
-    sent = phase.nodes["sent"][:, :PORTS].max(axis=1)
+    sent = phase.nodes["sent"][:, :PORTS].max(axis=1) * prices.transmit / max(phase.ticks, 1)
     what = f"{done.job.scene.name}, {'x'.join(map(str, shape))}, {done.cost.name} ({done.search})"
     figures = (
         _layers(busy, shape, f"busy share of each processor: {what}", "busy time / frame time"),
-        _layers(
-            sent * prices.transmit / max(phase.ticks, 1),
-            shape,
-            f"load of each processor's busiest outgoing link: {what}",
-            "sending time / frame time",
-        ),
+        _layers(sent, shape, f"load of each processor's busiest outgoing link: {what}", "sending time / frame time"),
         _over_time(done, what),
     )
     paths = [str(Path(folder) / name) for name in FILES]

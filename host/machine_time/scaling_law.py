@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from raygrid.emulator.simulator import make_model, trace
 from raygrid.host.machine_time.cost_models import CostModel
@@ -27,10 +27,9 @@ from raygrid.host.render.animation_jobs import still_job
 from raygrid.host.render.job import Settings
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import OutputError
-from raygrid.node.geometry import PORTS
+from raygrid.node.geometry import F64, PORTS
 from raygrid.node.protocol import BORN, PRIMARY, SENT
 
-F64 = NDArray[np.float64]
 KINDS = {"square": 2, "cubic": 3}  # and how many edges its processors have
 CONFIDENCE = 0.95
 LEAST_POINTS = 4  # of a fit of three numbers

@@ -10,12 +10,11 @@ import json
 from pathlib import Path
 from typing import Any
 
-from raygrid.emulator.driver import PHASES, NodeSample
+from raygrid.emulator.driver import NodeSample
 from raygrid.host.image.outputs import write_whole
-from raygrid.host.probes.sums import Gauges, NodeFigures
+from raygrid.host.probes.sums import Gauges, Index, NodeFigures
 
 MOST_NODES = 64  # in one trace; more cannot be read
-Index = tuple[int, int, int]
 TraceEvent = dict[str, Any]
 
 
@@ -98,6 +97,3 @@ class ChromeTrace:
         for name, at, values in counters:
             if last is not None or name == "packets waiting":
                 self._events.append({"ph": "C", "name": name, "pid": pid, "ts": at, "args": values})
-
-
-assert PHASES[0] == "idle"

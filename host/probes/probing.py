@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from types import TracebackType
 from typing import NamedTuple
 
 from raygrid.emulator.driver import NodeSample
@@ -12,16 +11,14 @@ from raygrid.host.files.input_guard import check_outputs
 from raygrid.host.image.outputs import check_named
 from raygrid.host.probes.chrome_trace import ChromeTrace
 from raygrid.host.probes.record import ProbeRecord
-from raygrid.host.probes.sums import Gauges, NodeFigures
+from raygrid.host.probes.sums import Gauges, NodeFigures, Shape
 from raygrid.node.errors import OutputError
-
-Shape = tuple[int, int, int]
 
 
 class Feed(NamedTuple):
     """Samples of an array, as they come; None now and then where none came for a while."""
 
-    shape: tuple[int, int, int]
+    shape: Shape
     rate: float
     samples: Iterator[NodeSample | None]
 
@@ -91,8 +88,6 @@ class Probing:
     def __enter__(self) -> Probing:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         with contextlib.suppress(*() if error is None else (OutputError,)):  # what went wrong first is what is told
             self.close()

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
-import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -65,12 +65,8 @@ class ProbeRecord:
             raise OutputError(f"{self._path}: the file cannot be written ({error.strerror})") from None
 
     def _give_up(self) -> None:
-        file, self._file = self._file, None
-        if file is not None:
-            try:
-                file.close()
-            except OSError:
-                return
+        with contextlib.suppress(OutputError):
+            self.close()
 
     def close(self) -> None:
         """Write what waits. May be called twice."""
@@ -128,4 +124,4 @@ def replay(path: str) -> ProbeReplay:
 
 
 def _is_side(value: object) -> bool:
-    return isinstance(value, int) and type(value) is int and 0 < value < math.inf
+    return type(value) is int and value > 0

@@ -18,20 +18,8 @@ from raygrid.host.scene.animation.motions import moved_point
 from raygrid.host.scene.animation.scene_frames import animation_bounds, moving_batches
 from raygrid.host.scene.pose import Animation
 from raygrid.host.scene.scene import Scene
+from raygrid.node import geometry
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry import (
-    F64,
-    MOTION_SCALE,
-    MOTION_SHIFT,
-    Batch,
-    Kind,
-    Moves,
-    SurfaceSet,
-    World,
-    fault_of,
-    placed,
-    world_around,
-)
 
 Shape = tuple[int, int, int]
 
@@ -75,7 +63,7 @@ def still_job(scene: Scene, shape: Shape, settings: Settings, frame: int | None 
     if scene.shot is None and frame not in (None, 1):
         raise SceneError(f"{scene.name}: frame {frame} came for a scene that does not change, wanted 1")
     (job,) = jobs_of(scene, shape, settings, [1 if frame is None else frame])
-    surfaces = SurfaceSet(tuple(placed(batch, job.moves) for batch in job.surfaces))
+    surfaces = geometry.SurfaceSet(tuple(geometry.placed(batch, job.moves) for batch in job.surfaces))
     return replace(job, surfaces=surfaces, moves=None)
 
 
@@ -103,7 +91,7 @@ class AnimationJobs:
         self._settings = settings
         self._shot: _AnimationMachine = _AnimationMachine(scene, scene.shot) if like is None else like._shot
         shot, moves = self._shot, self._shot.moves(middle)
-        there = SurfaceSet(tuple(placed(batch, moves) for batch in shot.surfaces))
+        there = geometry.SurfaceSet(tuple(geometry.placed(batch, moves) for batch in shot.surfaces))
         frame = make_frame(shot.scene_at(middle), shot.world, settings)
         self._space = split(settings.split, shape, shot.world, there, frame, wait)
 
@@ -126,38 +114,40 @@ class _AnimationMachine:
     def __init__(self, scene: Scene, shot: Animation) -> None:
         self.scene, self.shot = scene, shot
         try:
-            self.world = world_around(animation_bounds(scene))
+            self.world = geometry.world_around(animation_bounds(scene))
         except SceneError as error:
             raise SceneError(f"{scene.name}: {error}") from None
         self._rests = _rests(scene, shot, self.world)
-        self.surfaces = SurfaceSet(tuple(self._at_rest(batch) for batch in scene.surfaces))
+        self.surfaces = geometry.SurfaceSet(tuple(self._at_rest(batch) for batch in scene.surfaces))
 
-    def _at_rest(self, batch: Batch) -> Batch:
+    def _at_rest(self, batch: geometry.Batch) -> geometry.Batch:
         """Surfaces that stay in machine coordinates, groups each in coordinates of their own.
 
         In those a group at rest is about as large as the world, round the origin: however small a group or far off it
         was described, binary32 vertices are exact to the same part of its size.
         """
-        (result,) = self.world.surfaces(SurfaceSet((batch,))).batches
+        (result,) = self.world.surfaces(geometry.SurfaceSet((batch,))).batches
         number = self.shot.groups.of(batch.ids)
-        owner = np.repeat(number, np.diff(batch.starts)) if batch.kind == Kind.POLYGON else number
+        owner = np.repeat(number, np.diff(batch.starts)) if batch.kind == geometry.Kind.POLYGON else number
         data = result.data.copy()
         for group in np.unique(number[number >= 0]).tolist():
-            (own,) = self._rests[group].surfaces(SurfaceSet((batch.select(number == group),))).batches
+            (own,) = self._rests[group].surfaces(geometry.SurfaceSet((batch.select(number == group),))).batches
             data[owner == group] = own.data
-        return Batch(batch.kind, batch.ids, batch.materials, data, batch.starts)
+        return geometry.Batch(batch.kind, batch.ids, batch.materials, data, batch.starts)
 
-    def moves(self, number: int) -> Moves:
+    def moves(self, number: int) -> geometry.Moves:
         """Where the groups are in a frame."""
         motions = self.shot.at(number).motions
         machine = motions.copy()
         for group, rest in self._rests.items():
-            machine[group, MOTION_SCALE] = motions[group, MOTION_SCALE] * (self.world.scale / rest.scale)
-            machine[group, MOTION_SHIFT:] = self.world.points(moved_point(motions[group], rest.centre))
-        fault = fault_of(machine)
+            machine[group, geometry.MOTION_SCALE] = motions[group, geometry.MOTION_SCALE] * (
+                self.world.scale / rest.scale
+            )
+            machine[group, geometry.MOTION_SHIFT :] = self.world.points(moved_point(motions[group], rest.centre))
+        fault = geometry.fault_of(machine)
         if fault:
             raise SceneError(f"{self.scene.name}: in frame {number}, in machine coordinates, {fault}")
-        return Moves(self.shot.groups, machine)
+        return geometry.Moves(self.shot.groups, machine)
 
     def scene_at(self, number: int) -> Scene:
         """The scene with the camera, lights and materials of a frame."""
@@ -165,9 +155,9 @@ class _AnimationMachine:
         return replace(self.scene, camera=pose.camera, lights=pose.lights, materials=pose.materials)
 
 
-def _rests(scene: Scene, shot: Animation, world: World) -> dict[int, World]:
+def _rests(scene: Scene, shot: Animation, world: geometry.World) -> dict[int, geometry.World]:
     """How each group's surfaces at rest become coordinates of their own, by group; groups without surfaces have none."""
-    boxes: dict[int, list[F64]] = {}
+    boxes: dict[int, list[geometry.F64]] = {}
     for batch, number in moving_batches(scene):
         bounds = batch.bounds()
         for group in np.unique(number).tolist():
@@ -179,5 +169,5 @@ def _rests(scene: Scene, shot: Animation, world: World) -> dict[int, World]:
         longest = float((box[1] - box[0]).max()) / 2.0
         part, exponent = math.frexp(longest)  # exact on every computer; a logarithm need not be
         scale = math.ldexp(1.0, (part == 0.5) - exponent) if longest > 0.0 else world.scale
-        found[group] = World(box.mean(axis=0), scale, world.step)
+        found[group] = geometry.World(box.mean(axis=0), scale, world.step)
     return found

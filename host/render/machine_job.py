@@ -16,19 +16,10 @@ from raygrid.emulator.partition.split import split
 from raygrid.host.scene.load import WantsProgram
 from raygrid.host.scene.scene import Scene
 from raygrid.host.text.misuse import SceneMisuse
+from raygrid.node import protocol
 from raygrid.node.errors import SceneError
 from raygrid.node.geometry import HALF, AddedKind, Moves, Space, SurfaceSet, World, world_around
 from raygrid.node.programs import Program
-from raygrid.node.protocol import (
-    MAX_DEPTH,
-    MAX_LIGHTS,
-    MAX_SAMPLES,
-    MAX_SIDE,
-    POINT,
-    Frame,
-    light_table,
-    material_table,
-)
 
 DEFAULT_SIZE = (512, 512)
 DEFAULT_DEPTH = 5  # as the Standard Procedural Databases ask
@@ -73,7 +64,7 @@ class Job:
     world: World
     space: Space
     surfaces: SurfaceSet
-    frame: Frame
+    frame: protocol.Frame
     settings: Settings
     moves: Moves | None = None
     number: int | None = None
@@ -117,15 +108,15 @@ def check_settings(scene: Scene, settings: Settings) -> None:
         raise SceneError(f"a split came as {settings.split!r}, wanted one of {', '.join(SPLITS)}")
 
 
-def make_frame(scene: Scene, world: World, settings: Settings) -> Frame:
+def make_frame(scene: Scene, world: World, settings: Settings) -> protocol.Frame:
     """The facts of a frame in machine coordinates. Raises SceneError for settings that cannot be."""
     width, height = _pair(_first(settings.size, scene.size, DEFAULT_SIZE))
     samples = _whole("samples a pixel", _first(settings.samples, scene.samples, 1))
     depth = _whole("depth", _first(settings.depth, scene.depth, DEFAULT_DEPTH))
     asked = any(value is not None for value in (settings.size, settings.samples, settings.depth))
     _check_size(width, height, samples, depth, SceneMisuse if asked else SceneError)
-    if len(scene.lights) > MAX_LIGHTS:
-        raise SceneError(f"{scene.name}: {len(scene.lights)} lights came, wanted at most {MAX_LIGHTS}")
+    if len(scene.lights) > protocol.MAX_LIGHTS:
+        raise SceneError(f"{scene.name}: {len(scene.lights)} lights came, wanted at most {protocol.MAX_LIGHTS}")
     highlights = scene.highlights if settings.highlights is None else settings.highlights
     least = _first(settings.min_weight, scene.min_weight, 0.0)
     if not (isinstance(least, int | float) and 0.0 <= least < math.inf):
@@ -136,15 +127,15 @@ def make_frame(scene: Scene, world: World, settings: Settings) -> Frame:
     lights = _machine_lights(scene.lights, world)
     with np.errstate(over="ignore"):  # as bright as can be
         background = tuple(float(np.float32(value)) for value in scene.background)
-    camera, of_lights = _machine_camera(scene.camera.table(width, height), world), light_table(lights)
+    camera, of_lights = _machine_camera(scene.camera.table(width, height), world), protocol.light_table(lights)
     tables = {"camera": camera, "background": np.array(background), "lights": of_lights}
     for what, table in tables.items():
         if not np.isfinite(table).all():
             raise SceneError(f"{scene.name}: a number of the {what} is not finite, or becomes so at the scene's scale")
     _check_distance(scene.name, camera / (HALF * max(world.step)), width, height)
-    return Frame(
+    return protocol.Frame(
         camera,
-        _with_rules(material_table(materials), scene.rules),
+        _with_rules(protocol.material_table(materials), scene.rules),
         of_lights,
         len(lights),
         (background[0], background[1], background[2]),
@@ -196,17 +187,17 @@ def _whole(what: str, value: Any) -> int:
 
 
 def _check_size(width: int, height: int, samples: int, depth: int, wrong: type[SceneError]) -> None:
-    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE and width * height <= MAX_PIXELS):
+    if not (1 <= width <= protocol.MAX_SIDE and 1 <= height <= protocol.MAX_SIDE and width * height <= MAX_PIXELS):
         raise wrong(
-            f"a size came as {width}x{height}, wanted sides of 1 to {MAX_SIDE} and at most {MAX_PIXELS:,} pixels"
+            f"a size came as {width}x{height}, wanted sides of 1 to {protocol.MAX_SIDE} and at most {MAX_PIXELS:,} pixels"
         )
-    if samples < 1 or width * height * samples > MAX_SAMPLES:
-        most = MAX_SAMPLES // (width * height)
+    if samples < 1 or width * height * samples > protocol.MAX_SAMPLES:
+        most = protocol.MAX_SAMPLES // (width * height)
         raise wrong(
             f"{samples} samples a pixel came, wanted 1 to {most} for {width}x{height} (sample numbers have 32 bits)"
         )
-    if not 1 <= depth <= MAX_DEPTH:
-        raise wrong(f"a depth came as {depth}, wanted 1 to {MAX_DEPTH}")
+    if not 1 <= depth <= protocol.MAX_DEPTH:
+        raise wrong(f"a depth came as {depth}, wanted 1 to {protocol.MAX_DEPTH}")
 
 
 def _machine_camera(camera: NDArray[Any], world: World) -> NDArray[np.float64]:
@@ -219,7 +210,7 @@ def _machine_camera(camera: NDArray[Any], world: World) -> NDArray[np.float64]:
 def _machine_lights(lights: NDArray[Any], world: World) -> NDArray[Any]:
     """Point lights move with the scene; an inverse square falls off over machine distances."""
     moved = lights.copy()
-    points = moved["kind"] == POINT
+    points = moved["kind"] == protocol.POINT
     moved["place"][points] = world.points(moved["place"][points])
     moved["intensity"][moved["falloff"] == 1] *= world.scale**2
     return moved

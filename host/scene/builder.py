@@ -94,9 +94,8 @@ class SceneBuilder:
         self._apart: list[bool] = []
         self._moving: list[tuple[int, int]] = []  # order numbers, first and end
         self.orders: Ints = np.zeros(0, np.int64)  # of each id, once finished
-        self.share: Ints = np.zeros(
-            0, np.int64
-        )  # of each material given its row of the table, -1: not used, once finished
+        # of each material given its row of the table, -1: not used, once finished
+        self.share: Ints = np.zeros(0, np.int64)
         self._next = 0
         self._numbers = 0
         self._dropped = {"triangle": 0, "polygon": 0}

@@ -110,8 +110,7 @@ def _unit(vector: ArrayLike) -> F64:
     largest = float(np.abs(v).max())
     if not (math.isfinite(largest) and largest > 0.0):
         raise SceneError(f"a light's direction is {v.tolist()}, wanted one with a length")
-    if (
-        not 1e-100 < largest < 1e100
-    ):  # its square may be no number: made about 1 by a power of two, which changes no digit
+    if not 1e-100 < largest < 1e100:
+        # its square may be no number: made about 1 by a power of two, which changes no digit
         v = np.ldexp(v, -math.frexp(largest)[1])
     return np.asarray(v / float(lengths(v)))

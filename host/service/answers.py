@@ -6,17 +6,8 @@ import asyncio
 import os
 from typing import TYPE_CHECKING, Protocol, assert_never
 
+from raygrid.host.client import requests
 from raygrid.host.client.protocol import LONGEST
-from raygrid.host.client.requests import (
-    CancelMessage,
-    DownMessage,
-    FollowMessage,
-    JobsMessage,
-    ProbeMessage,
-    ResetMessage,
-    StatusMessage,
-    SubmitMessage,
-)
 from raygrid.host.service.job_facts import first_page
 from raygrid.node.errors import ArrayError
 from raygrid.node.links import why_python
@@ -24,7 +15,6 @@ from raygrid.node.links import why_python
 if TYPE_CHECKING:
     from raygrid.host.client.facts import JobFacts, RunningFacts, StatusFacts
     from raygrid.host.client.protocol import Message
-    from raygrid.host.client.requests import Request
     from raygrid.host.service.jobs import Jobs
     from raygrid.host.service.listener import ClientConnection, Listener
     from raygrid.host.service.node_samples import Samples
@@ -65,29 +55,29 @@ class Answers:
     def __init__(self, service: ServiceParts) -> None:
         self._service, self._state = service, service.state
 
-    async def answer(self, client: ClientConnection, request: Request) -> Message:
+    async def answer(self, client: ClientConnection, request: requests.Request) -> Message:
         """The answer to a request. Raises RaygridError for what is refused."""
         match request:
-            case SubmitMessage():
+            case requests.SubmitMessage():
                 return self._submit(client, request)
-            case FollowMessage(job=job):
+            case requests.FollowMessage(job=job):
                 return self._follow(client, job)
-            case CancelMessage(jobs=jobs):
+            case requests.CancelMessage(jobs=jobs):
                 return self._cancel_all(jobs)
-            case JobsMessage(ended=ended, after=after):
+            case requests.JobsMessage(ended=ended, after=after):
                 return self._jobs(ended, after)
-            case StatusMessage():
+            case requests.StatusMessage():
                 return {"is": "status", **await self.facts()}
-            case ProbeMessage(rate=rate):
+            case requests.ProbeMessage(rate=rate):
                 return self._probe(client, rate)
-            case ResetMessage():
+            case requests.ResetMessage():
                 return await self._reset()
-            case DownMessage(finish=finish, cancel=cancel):
+            case requests.DownMessage(finish=finish, cancel=cancel):
                 return self._down(finish, cancel)
             case _:
                 assert_never(request)
 
-    def _submit(self, client: ClientConnection, request: SubmitMessage) -> Message:
+    def _submit(self, client: ClientConnection, request: requests.SubmitMessage) -> Message:
         from raygrid.host.scene.load import check_taken
 
         if self._state.finishing or self._state.condition == "ending":

@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 from raygrid.host.client.facts import JobFacts
 from raygrid.host.client.requests import SubmitMessage, read_job
+from raygrid.host.journal.facts import row_facts
 from raygrid.host.journal.journal import Damaged, JobRow, Journal, Unwritable
 from raygrid.host.journal.repair import open_again
-from raygrid.host.service.job_facts import entry_facts, row_facts
+from raygrid.host.service.job_facts import entry_facts
 from raygrid.host.service.schedule import Entry, JobState, Schedule
 from raygrid.host.text.clean_text import printable
 from raygrid.node.errors import OutputError, ProtocolError, RaygridError
@@ -81,7 +82,7 @@ class Jobs:
             raise RaygridError(
                 f"{self.schedule.frames_queued:,} frames are queued already, wanted at most {MOST_QUEUED:,}"
             )
-        self._flush()
+        self.flush()
         if self.trouble:
             raise OutputError(self.trouble)
         job = self.journal.add(request.client, request.model_dump(mode="json"))
@@ -125,20 +126,19 @@ class Jobs:
 
     # --- the journal ----------------------------------------------------------------------------------
 
-    def look_after(self) -> None:
-        """See to it that the journal is there and up to date; to be called now and then."""
-        self._flush()
-
     def _record_state(self, job: int, state: JobState, error: str = "") -> None:
         self._record(job, lambda to: to.set_state(job, state, error))
 
     def _record(self, job: int, write: Callable[[Journal], None]) -> None:
         """Write to the journal now, or when that is possible again: the array goes on without."""
         self._unrecorded.append(Unrecorded(job, write))
-        self._flush()
+        self.flush()
 
-    def _flush(self) -> None:
-        """Write what is to be written, oldest first. What can never be written is left out, and keeps nothing else back."""
+    def flush(self) -> None:
+        """See to it that the journal is there, and write what is to be written, oldest first; to be called now and then, too.
+
+        What can never be written is left out, and keeps nothing else back.
+        """
         try:
             self._keep_place()
             if self._in_part or not self.journal.there:
@@ -216,5 +216,5 @@ class Jobs:
 
     def close(self) -> None:
         """Write what can be written, and close the journal."""
-        self._flush()
+        self.flush()
         self.journal.close()

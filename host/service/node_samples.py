@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
-from raygrid.emulator.topology import STATES, process_times
+from raygrid.emulator.topology import STATES, indices, process_times
 from raygrid.host.client.facts import NodeFacts
 from raygrid.node.runtime import proportional_memory
 
@@ -31,14 +31,13 @@ class Samples:
         """What the kernel says of each node, x fastest."""
         now = time.monotonic()
         since, before = self._newer if now - self._newer[0] >= LEAST_SPAN else self._older
-        nx, ny, _ = shape
         found: list[NodeFacts] = []
-        for number, pid in enumerate(pids):
+        for index, pid in zip(indices(shape), pids, strict=False):  # none while there is no array
             state, spent = process_times(pid)
             load = (spent - before[pid]) / (now - since) if pid in before and now > since else None
             found.append(
                 {
-                    "node": [number % nx, number // nx % ny, number // (nx * ny)],
+                    "node": list(index),
                     "pid": pid,
                     "state": NODE_STATES.get(state, state),
                     "cpu_seconds": round(spent, 2),

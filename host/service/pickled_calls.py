@@ -14,7 +14,7 @@ import io
 import pickle
 import struct
 from collections import OrderedDict
-from collections.abc import Generator
+from collections.abc import Callable
 from typing import Any
 
 MOST_SHARED = 16  # objects that are kept on either side
@@ -91,14 +91,22 @@ def pack(value: object, shared: Shared) -> list[memoryview]:
     return [memoryview(head), *(piece for piece in pieces if piece.nbytes)]
 
 
-def receiving(shared: Shared) -> Generator[memoryview, None, Any]:
-    """Takes in one message: each piece of memory that it yields is to be filled whole. Returns the message."""
-    head = bytearray(WORD.size)
-    yield memoryview(head)
-    lengths = bytearray(WORD.size * WORD.unpack(head)[0])
-    yield memoryview(lengths)
-    pieces = [bytearray(length) for (length,) in WORD.iter_unpack(lengths)]
-    for piece in pieces:
-        if piece:
-            yield memoryview(piece)
+def receive(shared: Shared, read: Callable[[memoryview], int]) -> Any:
+    """Take in one message. Raises EOFError if nothing more comes, and what `read` raises.
+
+    read  waits for bytes and puts them at the beginning of a piece of memory; returns how many, 0: nothing more comes
+    """
+
+    def whole(size: int) -> bytearray:
+        piece = bytearray(size)
+        room = memoryview(piece)
+        while room:
+            count = read(room)
+            if not count:
+                raise EOFError
+            room = room[count:]
+        return piece
+
+    (count,) = WORD.unpack(whole(WORD.size))
+    pieces = [whole(length) for (length,) in WORD.iter_unpack(whole(WORD.size * count))]
     return _Unpickler(pieces[0], shared, pieces[1:]).load()

@@ -18,12 +18,12 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from raygrid.emulator.processes import ONE_THREAD, SIGNALS
 from raygrid.emulator.topology import process_state
 from raygrid.host.files.part_files import FILE as PART
-from raygrid.host.service.pickled_calls import Shared, pack, receiving
+from raygrid.host.service.pickled_calls import Shared, pack, receive
 from raygrid.host.service.scribe_calls import CallDone, CallFailed, ScribeCall, Unanswered
 from raygrid.node.errors import RaygridError
 from raygrid.node.geometry import Groups, SurfaceSet
@@ -74,17 +74,10 @@ class Scribe:
         except OSError as error:
             raise ScribeError(f"the process that reads scenes cannot be started ({error.strerror})") from None
         with theirs:
-            command = [
-                sys.executable,
-                "-P",
-                "-m",
-                "raygrid.host.service.scribe_process",
-                str(theirs.fileno()),
-                str(os.getpid()),
-            ]
+            program = [sys.executable, "-P", "-m", "raygrid.host.service.scribe_process"]
             try:
                 self._process = subprocess.Popen(
-                    [*command, *self._arguments],
+                    [*program, str(theirs.fileno()), str(os.getpid()), *self._arguments],
                     stdin=subprocess.DEVNULL,
                     pass_fds=(theirs.fileno(),),
                     env=os.environ | ONE_THREAD,
@@ -111,7 +104,7 @@ class Scribe:
         try:
             for piece in pack(call, self._shared):
                 self._send(piece)
-            answer: CallDone[T] | CallFailed = self._receive()
+            answer: CallDone[T] | CallFailed = receive(self._shared, self._read)
         except (BrokenPipeError, ConnectionResetError, EOFError):
             raise ScribeLost(f"the process that reads scenes and writes pictures {self._how_it_ended()}") from None
         except BaseException:
@@ -128,22 +121,12 @@ class Scribe:
             with contextlib.suppress(BlockingIOError):
                 piece = piece[self._socket.send(piece, socket.MSG_NOSIGNAL) :]
 
-    def _receive(self) -> Any:
+    def _read(self, room: memoryview) -> int:
         assert self._socket is not None
-        message = receiving(self._shared)
-        room = next(message)
-        try:
-            while True:
-                while room:
-                    self._wait(select.POLLIN)
-                    with contextlib.suppress(BlockingIOError):
-                        count = self._socket.recv_into(room)
-                        if not count:
-                            raise EOFError
-                        room = room[count:]
-                room = next(message)
-        except StopIteration as end:
-            return end.value
+        while True:
+            self._wait(select.POLLIN)
+            with contextlib.suppress(BlockingIOError):
+                return self._socket.recv_into(room)
 
     def _wait(self, event: int) -> None:
         """Until the socket is ready, with looks in between; a process that is stopped meanwhile is killed.

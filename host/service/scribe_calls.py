@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
     from raygrid.host.client.requests import SubmitMessage
+    from raygrid.host.image.picture import Picture
     from raygrid.host.render.prepared import PreparedFrame
     from raygrid.node.programs import Program
     from raygrid.node.protocol import Frame
@@ -60,6 +61,11 @@ class Finished:
     sums: NDArray[np.int64]
     samples: int
     stats: dict[str, Any]
+
+    @classmethod
+    def of(cls, picture: Picture) -> Self:
+        """The numbers of a picture."""
+        return cls(picture.sums, picture.samples, picture.stats)
 
 
 @dataclass(frozen=True)

@@ -20,26 +20,10 @@ from typing import TYPE_CHECKING, assert_never
 import numpy as np
 
 from raygrid.emulator.processes import end_with_parent
-from raygrid.host.service.pickled_calls import Shared, pack, receiving
+from raygrid.host.service import scribe_calls
+from raygrid.host.service.pickled_calls import Shared, pack, receive
 from raygrid.host.service.scene_store import SceneStore, wanted_by
 from raygrid.host.service.scribe import SHARED
-from raygrid.host.service.scribe_calls import (
-    AnyCall,
-    BeginFrame,
-    Begun,
-    CallDone,
-    CallFailed,
-    Finished,
-    FinishFrame,
-    KeepFrame,
-    ListLacking,
-    PlayFrames,
-    PrepareAgain,
-    SweepFilms,
-    TraceBackground,
-    Unanswered,
-    WarmUp,
-)
 from raygrid.host.text.error_text import told
 from raygrid.node.errors import RaygridError
 from raygrid.node.geometry import SurfaceSet
@@ -63,35 +47,35 @@ class ScribeWork:
         self._files: JobFiles | None = None
         self._checked = -1  # the job whose names of files were looked at last
 
-    def do(self, call: AnyCall) -> object:
+    def do(self, call: scribe_calls.AnyCall) -> object:
         """Do what a call says; returns its answer. Raises RaygridError, and OutputError where files are written."""
         match call:
-            case BeginFrame():
+            case scribe_calls.BeginFrame():
                 return self._begin(call)
-            case PrepareAgain(number):
+            case scribe_calls.PrepareAgain(number):
                 return _for_the_array(self._store.frame(wanted_by(self._request), number))
-            case FinishFrame(finished):
+            case scribe_calls.FinishFrame(finished):
                 with self._guarded() as files:
                     files.write(_picture(finished))
-            case ListLacking():
+            case scribe_calls.ListLacking():
                 return [] if self._files is None else self._files.lacking(self._recorded)
-            case KeepFrame(number, finished):
+            case scribe_calls.KeepFrame(number, finished):
                 with self._guarded() as files:
                     files.keep(number, _picture(finished))
-            case PlayFrames():
+            case scribe_calls.PlayFrames():
                 with self._guarded() as files:
                     return files.play(self._recorded)
-            case TraceBackground():
+            case scribe_calls.TraceBackground():
                 return _background(call)
-            case SweepFilms():
+            case scribe_calls.SweepFilms():
                 self._sweep()
-            case WarmUp():
+            case scribe_calls.WarmUp():
                 _warm_up()
             case _:
                 assert_never(call)
         return None
 
-    def _begin(self, call: BeginFrame) -> Begun:
+    def _begin(self, call: scribe_calls.BeginFrame) -> scribe_calls.Begun:
         from raygrid.host.files.input_guard import noted
         from raygrid.host.image.moving_pictures import Reel
         from raygrid.host.scene.load import check_taken
@@ -110,9 +94,9 @@ class ScribeWork:
                 files.check_all()
                 self._checked = job
             if request.resume and files.are_there(self._recorded):
-                return Begun(None, files.digests, remarks)
+                return scribe_calls.Begun(None, files.digests, remarks)
             files.check()
-        return Begun(_for_the_array(ready), files.digests, remarks)
+        return scribe_calls.Begun(_for_the_array(ready), files.digests, remarks)
 
     @contextlib.contextmanager
     def _guarded(self) -> Iterator[JobFiles]:
@@ -142,7 +126,7 @@ class ScribeWork:
                 sweep_films(self._films, journal)
 
 
-def _background(call: TraceBackground) -> NDArray[np.int64]:
+def _background(call: scribe_calls.TraceBackground) -> NDArray[np.int64]:
     from raygrid.host.render.program_file import for_host
 
     sums = np.zeros((call.frame.width * call.frame.height, 3), np.int64)
@@ -157,7 +141,7 @@ def _warm_up() -> None:
     import raygrid.host.image.resume_check  # noqa: F401
 
 
-def _picture(finished: Finished) -> Picture:
+def _picture(finished: scribe_calls.Finished) -> Picture:
     from raygrid.host.image.picture import Picture
 
     return Picture(finished.sums, finished.samples, finished.stats)
@@ -175,32 +159,16 @@ def _for_the_array(ready: PreparedFrame) -> PreparedFrame:
 def _serve(stream: socket.socket, work: ScribeWork) -> None:
     """Do what is asked for until the service closes the socket."""
     shared = Shared(SHARED)
-    with stream.makefile("rb", buffering=0) as incoming:
-        while (call := _receive(incoming, shared)) is not None:
+    with contextlib.suppress(EOFError):
+        while True:
+            call: scribe_calls.AnyCall = receive(shared, stream.recv_into)
             try:
-                answer: CallDone[object] | CallFailed = CallDone(work.do(call))
+                answer: scribe_calls.CallDone[object] | scribe_calls.CallFailed = scribe_calls.CallDone(work.do(call))
             except Exception as error:
-                answer = CallFailed(told(error))
-            if not isinstance(call, Unanswered):
+                answer = scribe_calls.CallFailed(told(error))
+            if not isinstance(call, scribe_calls.Unanswered):
                 for piece in pack(answer, shared):
                     stream.sendall(piece)
-
-
-def _receive(incoming: socket.SocketIO, shared: Shared) -> AnyCall | None:
-    """The next call; None when there will be no more."""
-    message = receiving(shared)
-    room = next(message)
-    try:
-        while True:
-            while room:
-                count = incoming.readinto(room)
-                if not count:
-                    return None
-                room = room[count:]
-            room = next(message)
-    except StopIteration as end:
-        call: AnyCall = end.value
-        return call
 
 
 def main() -> None:

@@ -19,25 +19,7 @@ from typing import TYPE_CHECKING, BinaryIO, assert_never
 
 from raygrid.emulator.topology import SocketDirectory, process_mark
 from raygrid.host.client.service_files import Home, LockTaken, ServiceRecord
-from raygrid.host.service.events import (
-    ArrayBroken,
-    ArrayEnded,
-    ArrayReady,
-    ArrayRepaired,
-    ArrayReset,
-    Event,
-    FrameBegun,
-    FrameDone,
-    FrameFailed,
-    FrameInterrupted,
-    FrameMoved,
-    KernelsWarming,
-    NodeSampled,
-    Options,
-    SceneRemarked,
-    Task,
-    TaskEnd,
-)
+from raygrid.host.service import events
 from raygrid.host.service.state import ServiceState
 from raygrid.host.service.worker import Worker
 from raygrid.host.text.error_text import told
@@ -61,7 +43,7 @@ class ArrayService:
     resets       who waits for a reset
     """
 
-    def __init__(self, home: Home, options: Options, place: SocketDirectory, tell: BinaryIO) -> None:
+    def __init__(self, home: Home, options: events.Options, place: SocketDirectory, tell: BinaryIO) -> None:
         from raygrid.host.journal.repair import open_journal
         from raygrid.host.service.answers import Answers
         from raygrid.host.service.jobs import Jobs
@@ -136,7 +118,7 @@ class ArrayService:
                     self._home.keep_record(self._record)
             except (OSError, ArrayError) as error:
                 print(f"the door cannot be made anew: {error}", file=sys.stderr, flush=True)
-            self.jobs.look_after()
+            self.jobs.flush()
 
     async def _keep_listening(self) -> None:
         """Let clients come, wherever that can be. Raises OSError, ArrayError."""
@@ -151,51 +133,51 @@ class ArrayService:
 
     # --- events of the array --------------------------------------------------------------------------
 
-    def _post(self, event: Event) -> None:
+    def _post(self, event: events.Event) -> None:
         """Called by the worker's thread."""
         with contextlib.suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(self._hear, event)
 
-    def _hear(self, event: Event) -> None:
+    def _hear(self, event: events.Event) -> None:
         """Take in an event. Whatever goes wrong with it, the array goes on with what is next."""
         try:
             self._take(event)
         except Exception as error:
             self.state.note_fault(told(error), getattr(event, "task", None))
         finally:
-            if isinstance(event, TaskEnd):
+            if isinstance(event, events.TaskEnd):
                 self.next()
 
-    def _take(self, event: Event) -> None:
+    def _take(self, event: events.Event) -> None:
         match event:
-            case KernelsWarming():
+            case events.KernelsWarming():
                 self._report({"is": "warming", **asdict(event)})
-            case ArrayReady():
+            case events.ArrayReady():
                 self._array_ready(event)
-            case ArrayBroken():
+            case events.ArrayBroken():
                 self._array_broken(event)
-            case ArrayRepaired(fault, task):
+            case events.ArrayRepaired(fault, task):
                 self.state.note_fault(fault, task)
                 if task is not None:
                     self.tell_followers(task.job, {"what": "fault", "text": fault})
-            case ArrayReset():
+            case events.ArrayReset():
                 self._array_reset()
-            case NodeSampled():
+            case events.NodeSampled():
                 self._node_sampled(event)
-            case ArrayEnded():
+            case events.ArrayEnded():
                 self._over.set()
-            case FrameBegun(task):
-                self.state.moved = FrameMoved(task)
-            case SceneRemarked(task, text):
+            case events.FrameBegun(task):
+                self.state.moved = events.FrameMoved(task)
+            case events.SceneRemarked(task, text):
                 self.tell_followers(task.job, {"what": "note", "text": text})
-            case FrameMoved():
+            case events.FrameMoved():
                 self._frame_moved(event)
-            case FrameDone() | FrameFailed() | FrameInterrupted():
+            case events.FrameDone() | events.FrameFailed() | events.FrameInterrupted():
                 self._frame_ended(event)
             case _:
                 assert_never(event)
 
-    def _array_ready(self, event: ArrayReady) -> None:
+    def _array_ready(self, event: events.ArrayReady) -> None:
         state = self.state
         if state.condition == "ending":
             return
@@ -221,7 +203,7 @@ class ArrayService:
         self.samples.take(event.pids)
         self.next()
 
-    def _array_broken(self, event: ArrayBroken) -> None:
+    def _array_broken(self, event: events.ArrayBroken) -> None:
         if self.state.condition == "ending":
             return
         self.state.condition, self.state.why = "broken", event.why
@@ -237,7 +219,7 @@ class ArrayService:
                 waiting.set_result(None)
         self.resets.clear()
 
-    def _node_sampled(self, event: NodeSampled) -> None:
+    def _node_sampled(self, event: events.NodeSampled) -> None:
         message: Message | None = None
         for client in self.listener.clients:
             if client.rate:
@@ -249,32 +231,32 @@ class ArrayService:
         """Probe the array as often as the client wants that wants it most."""
         self.worker.supervisor.rate = max((client.rate for client in self.listener.clients), default=0.0)
 
-    def _frame_moved(self, event: FrameMoved) -> None:
+    def _frame_moved(self, event: events.FrameMoved) -> None:
         self.state.moved, entry = event, self.state.entry
         if entry is not None and not entry.ended:
             about = {"what": "progress", "frame": event.task.frame, "done": entry.done, "frames": entry.total}
             self.tell_followers(event.task.job, {**about, **event.facts}, droppable=True)
 
-    def _frame_ended(self, event: TaskEnd) -> None:
+    def _frame_ended(self, event: events.TaskEnd) -> None:
         """A frame is with the array no more; its job may have ended before."""
         entry, task, counts = self.state.entry, event.task, self.state.counts
         assert entry is not None
         self.state.settle()
         match event:
-            case FrameDone(task, files, played, skipped, seconds):
+            case events.FrameDone(task, files, played, skipped, seconds):
                 counts["skipped" if skipped else "done"] += 1
                 if not entry.ended:
                     self.jobs.frame_done(entry, skipped, seconds.get("whole", 0.0), files | played)
                     about = {"frame": task.frame, "files": list(files), "skipped": skipped, "played": list(played)}
                     self.tell_followers(entry.job, {"what": "frame", **about, "seconds": seconds})
                     self.tell_end(entry)
-            case FrameFailed(task, why):
+            case events.FrameFailed(task, why):
                 counts["failed"] += 1
                 if not entry.ended:
                     where = "" if task.frame is None else f"frame {task.frame}: "
                     self.jobs.fail(entry, where + why)
                     self.tell_end(entry)
-            case FrameInterrupted() if not entry.ended:
+            case events.FrameInterrupted() if not entry.ended:
                 self.jobs.schedule.put_back(entry)
 
     def next(self) -> None:
@@ -294,7 +276,7 @@ class ArrayService:
         request = self.jobs.request(entry.job)
         self._serial += 1
         number = None if request.frames is None else frame
-        state.task = Task(self._serial, entry.job, number, request, last=not entry.todo)
+        state.task = events.Task(self._serial, entry.job, number, request, last=not entry.todo)
         state.entry, self._given = entry, time.monotonic()
         self.jobs.begun(entry)
         self.worker.give(state.task)

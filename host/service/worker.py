@@ -12,39 +12,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from raygrid.host.service import events, scribe_calls
 from raygrid.host.service.array_supervisor import ArraySupervisor, NoArray
-from raygrid.host.service.events import (
-    ArrayBroken,
-    ArrayEnded,
-    ArrayReady,
-    ArrayRepaired,
-    ArrayReset,
-    Event,
-    FrameBegun,
-    FrameDone,
-    FrameFailed,
-    FrameInterrupted,
-    FrameMoved,
-    KernelsWarming,
-    NodeSampled,
-    Options,
-    SceneRemarked,
-    Task,
-    TaskEnd,
-)
 from raygrid.host.service.scribe import Scribe, ScribeLost
-from raygrid.host.service.scribe_calls import (
-    BeginFrame,
-    Finished,
-    FinishFrame,
-    KeepFrame,
-    ListLacking,
-    PlayFrames,
-    PrepareAgain,
-    SweepFilms,
-    TraceBackground,
-    WarmUp,
-)
 from raygrid.host.text.clean_text import printable
 from raygrid.host.text.error_text import told
 
@@ -73,36 +43,36 @@ class Worker(threading.Thread):
     supervisor  of the array
     """
 
-    def __init__(self, options: Options, post: Callable[[Event], None]) -> None:
+    def __init__(self, options: events.Options, post: Callable[[events.Event], None]) -> None:
         super().__init__(name="array", daemon=True)
         self._options, self._post = options, post
-        self._inbox: queue.SimpleQueue[Task | str] = queue.SimpleQueue()
+        self._inbox: queue.SimpleQueue[events.Task | str] = queue.SimpleQueue()
         self._unwanted = -1  # serial of the task that is to be given up
         self._ending = False
-        self._task: Task | None = None
+        self._task: events.Task | None = None
         self._told = 0.0
         self._noted: set[tuple[int, str]] = set()
         self.supervisor = ArraySupervisor(
             options.shape,
-            lambda what: post(ArrayRepaired(what, self._task)),
+            lambda what: post(events.ArrayRepaired(what, self._task)),
             self._look,
             batch=options.batch,
             patience=options.patience,
             programs=options.programs,
-            on_warming=lambda done, total, what: post(KernelsWarming(done, total, what)),
+            on_warming=lambda done, total, what: post(events.KernelsWarming(done, total, what)),
         )
-        self.supervisor.on_sample = lambda sample: post(NodeSampled(sample))
+        self.supervisor.on_sample = lambda sample: post(events.NodeSampled(sample))
         arguments = [str(options.journal), *map(str, options.shape), *["--outside"] * options.outside]
         self._scribe = Scribe(arguments, self._look)
         self._unswept = True  # whether frames may wait for a job that has ended
 
     # --- what the service says; callable from its thread ----------------------------------------------
 
-    def give(self, task: Task) -> None:
+    def give(self, task: events.Task) -> None:
         """Render this next."""
         self._inbox.put(task)
 
-    def interrupt(self, task: Task) -> None:
+    def interrupt(self, task: events.Task) -> None:
         """Give this task up, if it is still under way."""
         self._unwanted = task.serial
 
@@ -126,19 +96,19 @@ class Worker(threading.Thread):
             self._ending = False  # or the array could not say goodbye
             self._scribe.close()
             self.supervisor.close()
-            self._post(ArrayEnded())
+            self._post(events.ArrayEnded())
 
     def _launch(self) -> bool:
         try:
             self._scribe.start()
             self.supervisor.launch()
-            self._scribe.tell(WarmUp())
+            self._scribe.tell(scribe_calls.WarmUp())
         except Interrupted:
             return False
         except Exception as error:
-            self._post(ArrayBroken(told(error)))
+            self._post(events.ArrayBroken(told(error)))
             return False
-        self._post(ArrayReady(self.supervisor.pids))
+        self._post(events.ArrayReady(self.supervisor.pids))
         return True
 
     def _serve(self) -> None:
@@ -147,15 +117,15 @@ class Worker(threading.Thread):
                 given = self._inbox.get(timeout=LOOK_SECONDS if self.supervisor.there else LAUNCH_SECONDS)
             except queue.Empty:
                 if self._unswept:
-                    self._scribe.tell(SweepFilms())
+                    self._scribe.tell(scribe_calls.SweepFilms())
                     self._unswept = False
                 self._repair(self.supervisor.check)
                 continue
-            if isinstance(given, Task):
+            if isinstance(given, events.Task):
                 self._unswept = True
                 self._do(given)
             elif given == "reset" and self._repair(self.supervisor.reset):
-                self._post(ArrayReset())
+                self._post(events.ArrayReset())
 
     def _repair(self, work: Callable[[], None]) -> bool:
         """Look after the array; whether it can be used."""
@@ -165,37 +135,37 @@ class Worker(threading.Thread):
         except Interrupted:
             return False
         except Exception as error:
-            self._post(ArrayBroken(told(error)))
+            self._post(events.ArrayBroken(told(error)))
             return False
         if self.supervisor.pids not in ([], pids):
-            self._post(ArrayReady(self.supervisor.pids))
+            self._post(events.ArrayReady(self.supervisor.pids))
         return True
 
-    def _do(self, task: Task) -> None:
+    def _do(self, task: events.Task) -> None:
         self._task, self._told = task, 0.0
         pids = self.supervisor.pids
         try:
             self._look()
-            self._post(FrameBegun(task))
-            event: TaskEnd = self._frame(task)
+            self._post(events.FrameBegun(task))
+            event: events.TaskEnd = self._frame(task)
         except Interrupted:
-            event = FrameInterrupted(task)
+            event = events.FrameInterrupted(task)
         except NoArray as error:  # the frame can wait
-            self._post(ArrayBroken(told(error), task))
-            event = FrameInterrupted(task)
+            self._post(events.ArrayBroken(told(error), task))
+            event = events.FrameInterrupted(task)
         except Exception as error:
-            event = FrameFailed(task, told(error))
+            event = events.FrameFailed(task, told(error))
         finally:
             self._task = None
         self._make_scribe()
         if self.supervisor.pids not in ([], pids):
-            self._post(ArrayReady(self.supervisor.pids))
+            self._post(events.ArrayReady(self.supervisor.pids))
         self._post(event)
 
     def _make_scribe(self) -> None:
         """Start the scribe if it had to be killed, before it is needed."""
         if self._scribe.pid is None:
-            self._scribe.tell(WarmUp())
+            self._scribe.tell(scribe_calls.WarmUp())
 
     def _look(self) -> None:
         """Called often while the array works. Raises Interrupted."""
@@ -204,7 +174,7 @@ class Worker(threading.Thread):
 
     # --- one frame ------------------------------------------------------------------------------------
 
-    def _frame(self, task: Task) -> FrameDone:
+    def _frame(self, task: events.Task) -> events.FrameDone:
         """Make a frame, and begin it again if the scribe ends meanwhile: a scene that is its end each time fails its job."""
         for _ in range(ATTEMPTS - 1):
             try:
@@ -213,29 +183,29 @@ class Worker(threading.Thread):
                 self._note(task, [f"{error}; the frame is begun again"])
         return self._make(task)
 
-    def _make(self, task: Task) -> FrameDone:
+    def _make(self, task: events.Task) -> events.FrameDone:
         began = time.perf_counter()
         request = task.request
         self._tell(task, "read", 0.0, 0)
-        begun = self._scribe.ask(BeginFrame(task.job, request, task.frame, self._options.programs))
+        begun = self._scribe.ask(scribe_calls.BeginFrame(task.job, request, task.frame, self._options.programs))
         self._note(task, begun.remarks)
         seconds: dict[str, float] = {}
         if begun.ready is not None:
             picture = self._picture(task, begun.ready)
             self._tell(task, "write", 1.0, 0)
-            self._scribe.ask(FinishFrame(Finished(picture.sums, picture.samples, picture.stats)))
+            self._scribe.ask(scribe_calls.FinishFrame(scribe_calls.Finished.of(picture)))
             seconds = dict(picture.stats["wall_seconds"]) | {"whole": round(time.perf_counter() - began, 6)}
         played = self._play(task) if task.last else {}
-        return FrameDone(task, begun.files, played, begun.ready is None, seconds)
+        return events.FrameDone(task, begun.files, played, begun.ready is None, seconds)
 
-    def _play(self, task: Task) -> dict[str, str]:
+    def _play(self, task: events.Task) -> dict[str, str]:
         """Write the files that hold all frames of a job, whose last is done; frames that have gone are rendered again."""
-        for number in self._scribe.ask(ListLacking()):
-            picture = self._picture(task, self._scribe.ask(PrepareAgain(number)))
-            self._scribe.ask(KeepFrame(number, Finished(picture.sums, picture.samples, picture.stats)))
-        return self._scribe.ask(PlayFrames())
+        for number in self._scribe.ask(scribe_calls.ListLacking()):
+            picture = self._picture(task, self._scribe.ask(scribe_calls.PrepareAgain(number)))
+            self._scribe.ask(scribe_calls.KeepFrame(number, scribe_calls.Finished.of(picture)))
+        return self._scribe.ask(scribe_calls.PlayFrames())
 
-    def _picture(self, task: Task, ready: PreparedFrame) -> Picture:
+    def _picture(self, task: events.Task, ready: PreparedFrame) -> Picture:
         job = replace(ready.job, add_missed=self._add_missed)
         picture = self.supervisor.render(job, task.request.budget, self._watch(task, ready))
         if (blank := picture.blank()) is not None:
@@ -245,9 +215,9 @@ class Worker(threading.Thread):
     def _add_missed(self, job: Job, sums: NDArray[np.int64]) -> None:
         """The background of a program runs in the scribe: it may never come to an end."""
         assert job.settings.program is not None
-        sums += self._scribe.ask(TraceBackground(job.settings.program, job.frame, job.space.step))
+        sums += self._scribe.ask(scribe_calls.TraceBackground(job.settings.program, job.frame, job.space.step))
 
-    def _watch(self, task: Task, ready: PreparedFrame) -> Callable[[str, Progress | None], None]:
+    def _watch(self, task: events.Task, ready: PreparedFrame) -> Callable[[str, Progress | None], None]:
         from raygrid.host.render.machine_job import samples_expected
 
         expected = samples_expected(ready.job)
@@ -263,15 +233,15 @@ class Worker(threading.Thread):
 
         return watch
 
-    def _tell(self, task: Task, phase: str, part: float, in_flight: int) -> None:
+    def _tell(self, task: events.Task, phase: str, part: float, in_flight: int) -> None:
         self._told = time.monotonic()
-        self._post(FrameMoved(task, phase, part, in_flight))
+        self._post(events.FrameMoved(task, phase, part, in_flight))
 
-    def _note(self, task: Task, remarks: Iterable[str]) -> None:
+    def _note(self, task: events.Task, remarks: Iterable[str]) -> None:
         """Tell of remarks, each once a job."""
         for text in map(printable, remarks):
             if (task.job, text) not in self._noted:
                 self._noted.add((task.job, text))
-                self._post(SceneRemarked(task, text))
+                self._post(events.SceneRemarked(task, text))
         if len(self._noted) > 10_000:
             self._noted.clear()

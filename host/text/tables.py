@@ -26,14 +26,13 @@ def folded(text: str, width: int | None = None) -> str:
 
 def _folded(line: str, columns: int) -> str:
     indent = line[: len(line) - len(line.lstrip())]
-    return textwrap.fill(
-        line.lstrip(),
-        columns,
-        initial_indent=indent,
-        subsequent_indent=indent + "  ",
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
+    return "\n".join(wrapped(line.lstrip(), columns, indent, indent + "  "))
+
+
+def wrapped(text: str, columns: int, first: str, others: str) -> list[str]:
+    """Break text into lines that begin so; words that are longer than a line, such as paths, stay whole."""
+    whole = textwrap.TextWrapper(columns, first, others, break_long_words=False, break_on_hyphens=False)
+    return whole.wrap(text)
 
 
 def count_of(number: int, noun: str) -> str:

@@ -1,5 +1,4 @@
 from . import rounded as rounded
-from .bvh import COUNT_SHIFT as COUNT_SHIFT
 from .bvh import DEPTH as DEPTH
 from .bvh import FIRST_MASK as FIRST_MASK
 from .bvh import LEAF_BIT as LEAF_BIT
@@ -12,15 +11,11 @@ from .bvh_boxes import for_boxes as for_boxes
 from .bvh_boxes import push_boxes as push_boxes
 from .grid_walk import HOST as HOST
 from .grid_walk import OPPOSITE as OPPOSITE
-from .grid_walk import OUTPUTS as OUTPUTS
 from .grid_walk import PORTS as PORTS
 from .grid_walk import SELF as SELF
 from .grid_walk import SELF_RAYS as SELF_RAYS
 from .grid_walk import inverse as inverse
 from .grid_walk import passage as passage
-from .intersect import CONE_COLUMNS as CONE_COLUMNS
-from .intersect import PLANE_COLUMNS as PLANE_COLUMNS
-from .intersect import POLY_COLUMNS as POLY_COLUMNS
 from .lattice import HALF as HALF
 from .lattice import LATTICE as LATTICE
 from .lattice import LONGEST_STEP as LONGEST_STEP
@@ -45,7 +40,6 @@ from .quaternion import slerp as slerp
 from .quaternion import unit_quaternions as unit_quaternions
 from .rigid_motion import MOTION_SCALE as MOTION_SCALE
 from .rigid_motion import MOTION_SHIFT as MOTION_SHIFT
-from .rigid_motion import NO_MOTION as NO_MOTION
 from .rigid_motion import Groups as Groups
 from .rigid_motion import Moves as Moves
 from .rigid_motion import at_rest as at_rest
@@ -57,7 +51,6 @@ from .rigid_motion import moved_rows as moved_rows
 from .rigid_motion import placed as placed
 from .spanning_tree import corners as corners
 from .surface_tables import KIND_SHIFT as KIND_SHIFT
-from .surface_tables import OWN_COLUMNS as OWN_COLUMNS
 from .surface_tables import Surfaces as Surfaces
 from .surfaces import F64 as F64
 from .surfaces import MAX_MATERIALS as MAX_MATERIALS

@@ -1,7 +1,6 @@
 from .control_channel import ControlChannel as ControlChannel
 from .faulty_channel import FaultPlan as FaultPlan
 from .faulty_channel import parse_fault as parse_fault
-from .link import MESSAGE_OVERHEAD as MESSAGE_OVERHEAD
 from .link import Channel as Channel
 from .link import Link as Link
 from .link import LinkPhase as LinkPhase

@@ -213,13 +213,8 @@ class Link:
         return self.state == LinkPhase.UP and self._counted.data_sent - self._counted.credit < WINDOW
 
     def _header(self, kind: MessageKind, count: int) -> tuple[int, int, int, int, int]:
-        return (
-            int(kind),
-            self.epoch,
-            self._counted.sent & 0xFFFFFFFF,
-            self._counted.data_done & 0xFFFFFFFF,
-            count,
-        )
+        sent, done = self._counted.sent & 0xFFFFFFFF, self._counted.data_done & 0xFFFFFFFF
+        return int(kind), self.epoch, sent, done, count
 
     def _post(self, kind: MessageKind, payload: bytes) -> None:
         if self.urgent or not self._send_now(kind, 0, payload):

@@ -1,8 +1,6 @@
 from .codec import MapLimits as MapLimits
 from .codec import read_map as read_map
 from .commands import MAX_SIDE as MAX_SIDE
-from .commands import CommandMap as CommandMap
-from .commands import CommandName as CommandName
 from .commands import TraceCommand as TraceCommand
 from .commands import frame_order as frame_order
 from .commands import space_order as space_order
@@ -22,8 +20,6 @@ from .frame import LIGHT_RECORD as LIGHT_RECORD
 from .frame import MATERIAL_RECORD as MATERIAL_RECORD
 from .frame import POINT as POINT
 from .frame_tables import IOR as IOR
-from .frame_tables import LIGHT_COLUMNS as LIGHT_COLUMNS
-from .frame_tables import MATERIAL_COLUMNS as MATERIAL_COLUMNS
 from .frame_tables import RULE_COLUMNS as RULE_COLUMNS
 from .frame_tables import SPECULAR as SPECULAR
 from .frame_tables import TRANSMISSION as TRANSMISSION

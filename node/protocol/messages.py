@@ -30,19 +30,13 @@ from raygrid.node.protocol.codec import pack_map, read_map
 from raygrid.node.protocol.packets import SIZE
 
 VERSION = 2
-MAX_MESSAGE = (
-    1 << 25
-)  # bytes; ZMQ_MAXMSGSIZE of every socket; a frame of the most materials and lights takes half of it
+# bytes; ZMQ_MAXMSGSIZE of every socket; a frame of the most materials and lights takes half of it
+MAX_MESSAGE = 1 << 25
 WINDOW = 32  # PACKETS and SURFACES messages under way on one direction of a link
 HEAD = 20  # bytes of a header, kept free at the head of every output
 HEADER = struct.Struct("<BBHIIII")
-EPOCH_AT, SEQUENCE_AT, CREDIT_AT, COUNT_AT, SUMMED = (
-    2,
-    4,
-    8,
-    12,
-    16,
-)  # where fields begin; the checksum sums what is before it
+# where fields begin; the checksum sums what is before it
+EPOCH_AT, SEQUENCE_AT, CREDIT_AT, COUNT_AT, SUMMED = 2, 4, 8, 12, 16
 CHECKSUM_FIELD = struct.Struct("<I")
 SURFACE_HEADER = struct.Struct("<BBHII")  # corner, kind, zero, surfaces, points of polygons
 assert HEADER.size == HEAD == SUMMED + CHECKSUM_FIELD.size

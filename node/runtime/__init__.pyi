@@ -1,7 +1,6 @@
 from .increments import check_inside as check_inside
 from .increments import pieces as pieces
 from .memory_stats import proportional_memory as proportional_memory
-from .node_state import OUTPUT_ROOM as OUTPUT_ROOM
 from .node_state import NodeState as NodeState
 from .probe import ARRIVALS as ARRIVALS
 from .probe import read_rate as read_rate
@@ -19,4 +18,5 @@ from .reduction import SUM_WAITING as SUM_WAITING
 from .reduction import pack_request as pack_request
 from .reduction import read_reply as read_reply
 from .self_test import ready_program as ready_program
+from .self_test import tiny_frame as tiny_frame
 from .waves import read_sums as read_sums

@@ -7,9 +7,8 @@ import ctypes
 import os
 import time
 
-PRIVATE_SECONDS = (
-    10.0  # age at which private memory is looked up again: that takes the kernel longer than a small frame
-)
+# age at which private memory is looked up again: that takes the kernel longer than a small frame
+PRIVATE_SECONDS = 10.0
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of mallopt(3)
 KEPT_MEMORY, LARGEST_KEPT = 1 << 25, 1 << 22  # bytes
 _private = (0, -1.0, 0)  # process, when, bytes

@@ -9,7 +9,7 @@ import numpy as np
 from raygrid.node.errors import ProtocolError
 from raygrid.node.geometry.bvh import DEPTH
 from raygrid.node.geometry.bvh_refit import WORSE, expected_cost
-from raygrid.node.geometry.grid_walk import HOST, OUTPUTS, SELF_RAYS
+from raygrid.node.geometry.grid_walk import HOST
 from raygrid.node.geometry.lattice import Cell, Space, make_cell
 from raygrid.node.geometry.overlap import meets
 from raygrid.node.geometry.spanning_tree import towards_corner
@@ -212,17 +212,10 @@ class NodeState:
         """Fill the output towards the nearest corner with pixel packets."""
         assert self.frame is not None and self.cell is not None
         output = towards_corner(self.index, self.shape)
-        held = int(self.outputs.held[output])
-        room = (self.outputs.data.shape[1] - HEAD) // SIZE - held
-        made, cursor = send_pixels(
-            self.pixels,
-            self.frame.width,
-            np.int64(self.collecting),
-            self.outputs.data[output],
-            HEAD + held * SIZE,
-            min(room, CHUNK),
-            self.counts,
-        )
+        row, held = self.outputs.data[output], int(self.outputs.held[output])
+        at, most = HEAD + held * SIZE, min((len(row) - HEAD) // SIZE - held, CHUNK)
+        width, first = self.frame.width, np.int64(self.collecting)
+        made, cursor = send_pixels(self.pixels, width, first, row, at, most, self.counts)
         self.collecting = int(cursor)
         self.outputs.held[output] += made
         self.counts[SENT + output] += made
@@ -242,6 +235,3 @@ class NodeState:
             "backlog": self.work_queues.size,
             "outputs": self.outputs.data.nbytes,
         }
-
-
-assert OUTPUTS == SELF_RAYS + 1

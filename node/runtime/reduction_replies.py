@@ -7,20 +7,7 @@ from collections.abc import Callable
 from raygrid.node.errors import ProtocolError
 from raygrid.node.links.link import Link
 from raygrid.node.protocol.messages import MessageKind
-from raygrid.node.runtime.reduction import (
-    NANO,
-    Long,
-    ReductionState,
-    TraceFields,
-    awaits_reply,
-    begin,
-    make_reduction,
-    pack_fields,
-    pack_reply,
-    read_reply,
-    read_request,
-    waits_for_node,
-)
+from raygrid.node.runtime import reduction
 
 
 class Reductions:
@@ -30,9 +17,9 @@ class Reductions:
     """
 
     def __init__(self, links: dict[int, Link], parent: int, children: list[int]) -> None:
-        self.reduction = make_reduction(parent, tuple(children))
-        self.state = ReductionState.view(self.reduction.state)
-        self._request = TraceFields.view(self.reduction.request)
+        self.reduction = reduction.make_reduction(parent, tuple(children))
+        self.state = reduction.ReductionState.view(self.reduction.state)
+        self._request = reduction.TraceFields.view(self.reduction.request)
         self._links, self._children = links, children
 
     @property
@@ -43,42 +30,42 @@ class Reductions:
     @property
     def waits_for_node(self) -> bool:
         """Whether one is under way that waits for nobody but this node."""
-        return waits_for_node(self.state)
+        return reduction.waits_for_node(self.state)
 
     def left(self, now: float) -> float:
         """Seconds until this node replies although it is busy."""
-        return max(0.0, self.state.deadline / NANO - now)
+        return max(0.0, self.state.deadline / reduction.NANO - now)
 
-    def begin(self, message: bytes, now: float) -> TraceFields:
+    def begin(self, message: bytes, now: float) -> reduction.TraceFields:
         """A request has come from the parent, at `now` seconds: hand it on. Raises ProtocolError."""
-        self._request.take(read_request(message))
-        begin(self.state, self._request, self.reduction.sums, int(now * NANO))
+        self._request.take(reduction.read_request(message))
+        reduction.begin(self.state, self._request, self.reduction.sums, int(now * reduction.NANO))
         self.state.fresh = 0
         self.notify_children()
         return self._request
 
     def take_reply(self, port: int, message: bytes) -> None:
         """A child has replied. Raises ProtocolError if it was not asked."""
-        wave, sums = read_reply(message)
-        if not awaits_reply(self.state, port, wave):
+        wave, sums = reduction.read_reply(message)
+        if not reduction.awaits_reply(self.state, port, wave):
             raise ProtocolError(f"a reply to wave {wave} came by port {port}, wanted none")
         self.reduction.sums[:] += sums
         self.state.replied |= 1 << port
 
     def notify_children(self) -> None:
         """Hand a request on to the children that have not been told of it."""
-        payload = pack_fields(self._request)
+        payload = reduction.pack_fields(self._request)
         for port in self._children:
             if self.state.to_notify >> port & 1:
                 self._links[port].send_payload(MessageKind.REDUCE, payload)
         self.state.to_notify = 0
 
-    def maybe_reply(self, now: float, idle: Callable[[], bool], own_sums: Callable[[], Long]) -> None:
+    def maybe_reply(self, now: float, idle: Callable[[], bool], own_sums: Callable[[], reduction.Long]) -> None:
         """Reply once nobody else is waited for, and this node is idle or the time is up."""
         if self.state.to_notify:
             self.notify_children()
-        if not self.waits_for_node or (int(now * NANO) < self.state.deadline and not idle()):
+        if not self.waits_for_node or (int(now * reduction.NANO) < self.state.deadline and not idle()):
             return
-        payload = pack_reply(self.state.wave, self.reduction.sums + own_sums())
+        payload = reduction.pack_reply(self.state.wave, self.reduction.sums + own_sums())
         self.state.pending = 0
         self._links[self.state.parent_port].send_payload(MessageKind.REDUCED, payload)

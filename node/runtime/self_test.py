@@ -6,7 +6,7 @@ import numpy as np
 
 from raygrid.node.errors import ProtocolError
 from raygrid.node.geometry.lattice import LATTICE, make_space
-from raygrid.node.geometry.surfaces import NUMBERS, OWN_HALF, OWN_NUMBERS, STORED_AS, STRIDE, AddedKind, Batch, Kind
+from raygrid.node.geometry.surfaces import OWN_HALF, OWN_NUMBERS, STORED_AS, STRIDE, AddedKind, Batch, Kind
 from raygrid.node.programs.programs import Compiled, Program, compiled, read_program, try_functions
 from raygrid.node.protocol.commands import CommandMap
 from raygrid.node.protocol.frame_tables import LIGHT_COLUMNS, MATERIAL_COLUMNS, RULE, RULE_COLUMNS, Frame
@@ -35,7 +35,7 @@ def attempt(made: Compiled) -> None:
     for batch in _surfaces(made.program):
         node_state.retain(batch, batch.bounds())
     node_state.build()
-    node_state.set_frame(_frame())
+    node_state.set_frame(tiny_frame(rule=True))
     node_state.quota = 64
     for _ in range(MOST_BATCHES):
         if not node_state.has_work:
@@ -55,12 +55,10 @@ def _surfaces(program: Program) -> list[Batch]:
     return batches
 
 
-def _frame() -> Frame:
+def tiny_frame(rule: bool = False) -> Frame:
+    """A small frame with lights of both kinds, for calling every kernel; `rule`: its material has one of a program."""
     rows = ((0.0, 0.0, 2.0), (0.0,) * 3, (0.0,) * 3, (-0.2, 0.2, -1.0), (0.05, 0.0, 0.0), (0.0, -0.05, 0.0))
-    materials, lights = np.full((1, MATERIAL_COLUMNS + RULE_COLUMNS), 0.5), np.zeros((2, LIGHT_COLUMNS))
-    materials[0, RULE] = 1.0
+    materials, lights = np.full((1, MATERIAL_COLUMNS + RULE_COLUMNS * rule), 0.5), np.zeros((2, LIGHT_COLUMNS))
+    materials[0, RULE : RULE + 1] = 1.0  # where it has one
     lights[0, :7], lights[1, :7] = (0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0), (1.0, 0.3, 0.3, 0.6, 1.0, 1.0, 1.0)
     return Frame(np.array(rows), materials, lights, 2, (0.1, 0.1, 0.1), 8, 8, 1, 3, 0.0, False)
-
-
-assert RULE_COLUMNS == 1 + NUMBERS

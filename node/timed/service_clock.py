@@ -61,10 +61,8 @@ CLOCK_RECORD = np.dtype(
         ("most_waiting", np.int64),
         ("ended", np.int64),  # tick at which the last service ended
         ("trace", np.int64),  # digest of all services
-        (
-            "list_ticks",
-            np.int64,
-        ),  # what a walk costs beside its price: tests of every surface held, if a list is searched
+        # what a walk costs beside its price: tests of every surface held, if a list is searched
+        ("list_ticks", np.int64),
         ("sent", np.int64, PORTS + 1),  # packets by each port and to the host
         ("next_primary", np.int64),  # the simulator's place in the list of samples
         ("last_primary", np.int64),

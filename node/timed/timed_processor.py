@@ -19,35 +19,15 @@ from raygrid.node.errors import ProtocolError
 from raygrid.node.geometry.grid_walk import HOST, PORTS
 from raygrid.node.geometry.surfaces import Kind
 from raygrid.node.links.link import Arrival, Link
+from raygrid.node.protocol import timestamps
 from raygrid.node.protocol.commands import CommandMap
 from raygrid.node.protocol.counters import COUNTS
 from raygrid.node.protocol.messages import HEAD, MessageKind
 from raygrid.node.protocol.packets import FAULTS, SIZE, first_fault
-from raygrid.node.protocol.timestamps import (
-    LAST_TICK,
-    LookaheadRequest,
-    Prices,
-    pack_lookahead,
-    pack_stamped,
-    read_lookahead,
-    read_prices,
-    read_stamped,
-)
 from raygrid.node.runtime.processor import Processor
 from raygrid.node.runtime.reduction import TraceFields
+from raygrid.node.timed import service_clock
 from raygrid.node.timed.lookahead import Lookahead
-from raygrid.node.timed.service_clock import (
-    CLOCK_BLOCKED,
-    CLOCK_FULL,
-    CLOCK_IDLE,
-    CLOCK_RECORD,
-    Stamps,
-    advance,
-    grown,
-    insert,
-    make_service_clock,
-    next_decision,
-)
 from raygrid.node.tracing.primaries import DONE
 
 FIRST_CLOCK_ROOM = 4096  # packets of the store; doubled whenever they do not suffice
@@ -59,20 +39,20 @@ class TimedProcessor(Processor):
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self._neighbours = [port for port in self.links if port != HOST]
-        self._prices: Prices | None = None  # of the frame that is being traced in machine time
+        self._prices: timestamps.Prices | None = None  # of the frame that is being traced in machine time
         self._started = False
-        self._why = CLOCK_IDLE
+        self._why = service_clock.CLOCK_IDLE
         self._frame_number = 0
         self._channel_clocks = [0] * PORTS  # as the neighbours sent them
         self._lookahead = self._new_lookahead(0)
         self._dirty = False
-        self.timed = make_service_clock(1, FIRST_CLOCK_ROOM)
+        self.timed = service_clock.make_service_clock(1, FIRST_CLOCK_ROOM)
         self._scratch, self._counts = np.zeros(SIZE, np.uint8), np.zeros(COUNTS, np.int64)
         self._stamps = self._new_stamps()
 
-    def _new_stamps(self) -> Stamps:
+    def _new_stamps(self) -> service_clock.Stamps:
         room = (self.node_state.outputs.data.shape[1] - HEAD) // SIZE
-        return Stamps(np.zeros((PORTS + 1, room), np.int64), np.zeros(PORTS + 1, np.int64))
+        return service_clock.Stamps(np.zeros((PORTS + 1, room), np.int64), np.zeros(PORTS + 1, np.int64))
 
     def _new_lookahead(self, first: int) -> Lookahead:
         """Begin without requests; nothing arrives before tick `first`."""
@@ -89,7 +69,7 @@ class TimedProcessor(Processor):
         if do == "frame":
             self._begin_frame(order)
         elif do in ("collect", "halt", "space"):
-            self._prices, self._started, self._why = None, False, CLOCK_IDLE
+            self._prices, self._started, self._why = None, False, service_clock.CLOCK_IDLE
 
     def _admit(self, request: TraceFields) -> None:
         super()._admit(request)
@@ -98,14 +78,14 @@ class TimedProcessor(Processor):
             self._started = self._dirty = True
 
     def _begin_frame(self, order: CommandMap) -> None:
-        found = read_prices(order)
-        self._started, self._why = False, CLOCK_IDLE
+        found = timestamps.read_prices(order)
+        self._started, self._why = False, service_clock.CLOCK_IDLE
         self._prices = None
         if found is None:
             return
         self._prices, tests = found
         self._frame_number = _wave_of(order)
-        self.timed, self._stamps = make_service_clock(1, FIRST_CLOCK_ROOM), self._new_stamps()
+        self.timed, self._stamps = service_clock.make_service_clock(1, FIRST_CLOCK_ROOM), self._new_stamps()
         held = [sum(len(batch) for batch in self.node_state.retained if batch.kind == kind) for kind in Kind]
         self.timed.nodes[0]["list_ticks"] = int(np.array(held) @ tests)
         first = self._prices.lookahead  # nobody has decided anything yet
@@ -123,7 +103,7 @@ class TimedProcessor(Processor):
             if arrival.kind is MessageKind.STAMPED:
                 self._take_stamped(port, arrival)
             else:
-                request = read_lookahead(arrival.message)
+                request = timestamps.read_lookahead(arrival.message)
                 if self._is_current(request.frame):
                     self._advance_channel(port, request.channel_clock)
                     self._lookahead.take(port, request)
@@ -141,7 +121,7 @@ class TimedProcessor(Processor):
         self._dirty = True
 
     def _take_stamped(self, port: int, arrival: Arrival) -> None:
-        message = read_stamped(arrival.message, arrival.items)
+        message = timestamps.read_stamped(arrival.message, arrival.items)
         if not self._is_current(message.frame):
             raise ProtocolError(f"{arrival.items} packets of another frame came")
         packets = np.frombuffer(arrival.message, np.uint8)
@@ -152,22 +132,22 @@ class TimedProcessor(Processor):
         if message.ticks[0] < before:
             raise ProtocolError(f"a packet came for tick {message.ticks[0]}, when none could before {before}")
         self._make_room(arrival.items)
-        insert(self.timed, port, message.ticks, packets, message.at, arrival.items)
+        service_clock.insert(self.timed, port, message.ticks, packets, message.at, arrival.items)
         self._advance_channel(port, message.channel_clock)
 
     def _make_room(self, many: int) -> None:
         while self.timed.spare[1] < many:
-            self.timed = grown(self.timed, 2 * (len(self.timed.words) // 6))
+            self.timed = service_clock.grown(self.timed, 2 * (len(self.timed.words) // 6))
 
     # --- work --------------------------------------------------------------------------------------
 
     @property
     def busy(self) -> bool:
         """Tell whether `work` has something to do now."""
-        return super().busy or (self._started and (self._dirty or self._why == CLOCK_FULL))
+        return super().busy or (self._started and (self._dirty or self._why == service_clock.CLOCK_FULL))
 
     def _idle(self) -> bool:
-        return super()._idle() and not (self._started and self._why == CLOCK_BLOCKED)
+        return super()._idle() and not (self._started and self._why == service_clock.CLOCK_BLOCKED)
 
     def work(self, wait: bool = False) -> bool:
         """Carry out what the channel clocks allow, send what came of it, then do one piece of other work."""
@@ -176,20 +156,20 @@ class TimedProcessor(Processor):
             self._advance()
             self._send()
             self._lookahead.handle_requests()
-            if self._why == CLOCK_BLOCKED:
+            if self._why == service_clock.CLOCK_BLOCKED:
                 self._lookahead.ask(self._decision())
         return super().work()
 
     def _decision(self) -> int:
         """Tick of the next decision as far as it is known."""
-        return int(next_decision(self.timed, self.node_state.samples_left))
+        return int(service_clock.next_decision(self.timed, self.node_state.samples_left))
 
     def _advance(self) -> None:
         node_state, horizon = self.node_state, self._lookahead.horizon()
         assert node_state.frame is not None
         self._make_room(2 * (node_state.frame.n_lights + 4))
         first = self._decision()
-        self._why = advance(
+        self._why = service_clock.advance(
             self.timed, horizon, node_state.cell, node_state.space, node_state.frame, node_state.surfaces, node_state.pixels,
             node_state.cursor, self._scratch, node_state.outputs, self._stamps, self._counts, node_state.counts, self._prices,
         )  # fmt: skip
@@ -203,10 +183,10 @@ class TimedProcessor(Processor):
         row = self.timed.nodes[0]
         decision = min(self._decision(), max(int(row["free"]), self._lookahead.horizon()))
         after_others = int(row["link_free"][port]) + self._prices.transmit + self._prices.latency
-        return min(max(decision + self._prices.lookahead, after_others), LAST_TICK)
+        return min(max(decision + self._prices.lookahead, after_others), timestamps.LAST_TICK)
 
-    def _post_request(self, port: int, request: LookaheadRequest) -> None:
-        payload = pack_lookahead(request._replace(channel_clock=self._channel_clock(port)))
+    def _post_request(self, port: int, request: timestamps.LookaheadRequest) -> None:
+        payload = timestamps.pack_lookahead(request._replace(channel_clock=self._channel_clock(port)))
         self.links[port].send_data(MessageKind.LOOKAHEAD, 0, payload)
 
     def _send(self) -> None:
@@ -221,7 +201,7 @@ class TimedProcessor(Processor):
                 last = min(first + self.batch, held)
                 known = clock if last == held else int(ticks[last - 1])
                 packets = outputs.data[port, HEAD + first * SIZE : HEAD + last * SIZE].tobytes()
-                payload = pack_stamped(self._frame_number, known, ticks[first:last], packets)
+                payload = timestamps.pack_stamped(self._frame_number, known, ticks[first:last], packets)
                 link.send_data(MessageKind.STAMPED, last - first, payload)
             outputs.held[port] = self._stamps.held[port] = 0
 
@@ -237,7 +217,7 @@ class TimedProcessor(Processor):
 
     def record(self) -> dict[str, Any]:
         """The record of any processor, and how it spent machine time."""
-        row = dict(zip(CLOCK_RECORD.names or (), self.timed.nodes[0].tolist(), strict=True))
+        row = dict(zip(service_clock.CLOCK_RECORD.names or (), self.timed.nodes[0].tolist(), strict=True))
         machine = {
             "served": row["served"],
             "busy_ticks": row["busy"],

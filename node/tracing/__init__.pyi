@@ -1,6 +1,4 @@
 from .background import add_missed as add_missed
-from .batch import ADMIT_AT_ONCE as ADMIT_AT_ONCE
-from .batch import PORTION as PORTION
 from .camera import entry as entry
 from .camera import eye_ray as eye_ray
 from .camera import home as home
@@ -26,5 +24,3 @@ from .shading import normals as normals
 from .shading import place as place
 from .shading import refract as refract
 from .traverse import closest as closest
-from .work_queues import BYTES_A_PACKET as BYTES_A_PACKET
-from .work_queues import FIRST_QUEUE_ROOM as FIRST_QUEUE_ROOM

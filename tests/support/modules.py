@@ -58,7 +58,10 @@ def read_modules(root: Path) -> dict[str, Module]:
             source = path.read_text()
             tree = ast.parse(source, str(path))
             found[name] = Module(name, path, source, tree, tuple(_imports(tree)), _faces(name, path))
-    return found
+    return {
+        name: module._replace(imports=tuple(_opened(module.imports, module.tree, found)))
+        for name, module in found.items()
+    }
 
 
 def _imports(tree: ast.Module) -> Iterator[Import]:
@@ -74,6 +77,18 @@ def _imports(tree: ast.Module) -> Iterator[Import]:
                     yield Import("." * node.level + (node.module or ""), alias.name, node.lineno)
                 elif node.module and node.module.split(".")[0] == "raygrid":
                     yield Import(node.module.removeprefix("raygrid").removeprefix("."), alias.name, node.lineno)
+
+
+def _opened(imports: tuple[Import, ...], tree: ast.Module, modules: Mapping[str, Module]) -> Iterator[Import]:
+    """The same, but of a package that is imported whole and has a face, each of its names that the module uses."""
+    for taken in imports:
+        package = f"{taken.source}.{taken.name}"
+        if package in modules and modules[package].faces:
+            for node in ast.walk(tree):
+                if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == taken.name:
+                    yield Import(package, node.attr, node.lineno)
+        else:
+            yield taken
 
 
 def _faces(package: str, path: Path) -> dict[str, str]:

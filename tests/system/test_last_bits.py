@@ -32,7 +32,6 @@ EXPLAINED: dict[str, dict[str, set[str]]] = {
     "pixel and a half": {"node.tracing.framebuffer": {"np.linalg.det", "np.linalg.inv", PRODUCT}},
     "products of whole numbers are exact": {
         "node.timed.timed_processor": {PRODUCT},
-        "emulator.simulator.simulator": {PRODUCT},
         "host.machine_time.cost_models": {PRODUCT},
         "host.machine_time.simulate_stats": {PRODUCT},
     },

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import textwrap
 from collections.abc import Iterator
 from typing import TypedDict
 
@@ -14,7 +13,7 @@ from raygrid.host.cli import doctor_facts
 from raygrid.host.cli.doctor_facts import CacheFacts, FastPath, LimitFacts, LocationFacts
 from raygrid.host.image.outputs import write_lines, write_result
 from raygrid.host.text.clean_text import printable
-from raygrid.host.text.tables import bytes_of, count_of
+from raygrid.host.text.tables import bytes_of, count_of, wrapped
 
 COLUMNS, LABEL = 80, 14
 WORDS = {"descriptors": "open files a process", "all_files": "open files in all", "tasks": "processes and threads"}
@@ -162,16 +161,9 @@ def lines_of(facts: DoctorFacts) -> Iterator[str]:
 
 
 def _entry(label: str, text: str, width: int = LABEL) -> list[str]:
-    """A labelled paragraph; words that are longer than a line, such as paths, stay whole."""
+    """A labelled paragraph."""
     first = label.ljust(width) if len(label) < width else f"{label} "
-    return textwrap.wrap(
-        printable(text),
-        COLUMNS,
-        initial_indent=first,
-        subsequent_indent=" " * width,
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
+    return wrapped(printable(text), COLUMNS, first, " " * width)
 
 
 def _cache_lines(cache: CacheFacts | None) -> Iterator[str]:

@@ -68,18 +68,9 @@ def _run(request: LawRequest, reporter: ProgressReporter) -> list[str]:
         if told_frame := frame_told(scene, None, False):
             reporter.remark(told_frame)
     check_outputs(report_paths(request.folder, [scene.name for scene in scenes]))  # now that all is read
-    points = []
+    points, frames = [], (request.sizes, request.pictures)
     with compiling(reporter):
         for scene in scenes:
-            points += sweep(
-                scene,
-                cost,
-                request.sizes,
-                request.pictures,
-                request.search,
-                request.along,
-                request.settings,
-                reporter.phase,
-            )
+            points += sweep(scene, cost, *frames, request.search, request.along, request.settings, reporter.phase)
     reporter.phase("fitting and plotting")
     return write_report(request.folder, points, fits_of(points), cost, request.command)

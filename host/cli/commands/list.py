@@ -67,15 +67,7 @@ def _facts(record: ServiceRecord) -> ListedFacts | None:
     except ArrayError as error:
         return {**facts, "why": str(error)} if record.alive else None
     job = None if status["running"] is None else status["running"]["job"]
-    queue = status["queue"]
-    return {
-        **facts,
-        "state": status["state"],
-        "jobs": queue["jobs"],
-        "frames": queue["frames"],
-        "running": job,
-        "why": "",
-    }
+    return {**facts, "state": status["state"], **status["queue"], "running": job, "why": ""}
 
 
 def _jobs(facts: ListedFacts) -> str:

@@ -14,7 +14,7 @@ from support.terminal import Terminal
 from support.tree import Branch, oracle_tree
 
 from raygrid.emulator.analysis import provenance
-from raygrid.emulator.analysis.provenance import Provenance, all_rays
+from raygrid.emulator.analysis.provenance import Provenance, Ray
 from raygrid.host.cli.trace import trace_pixel
 from raygrid.host.render.job import Settings, make_job
 from raygrid.host.scene.lights import NO_DISC
@@ -24,6 +24,16 @@ from raygrid.node.tracing.framebuffer import UNIT
 
 pytestmark = pytest.mark.usefixtures("warm_kernels")
 assert warm_kernels
+
+
+def all_rays(root: Ray) -> list[Ray]:
+    """Every ray of a tree, parents before their children."""
+    found, waiting = [], [root]
+    while waiting:
+        ray = waiting.pop()
+        found.append(ray)
+        waiting += reversed(ray.children)
+    return found
 
 
 def job_of(path, shape=EIGHT, **settings):

@@ -15,9 +15,9 @@ from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.emulator.partition import sampling_prepass as prepass_module
 from raygrid.emulator.partition import split as split_module
 from raygrid.emulator.partition.cost_grid import (
+    CostGrid,
     NotCompiledError,
     Weights,
-    by_cell,
     count_work,
     from_cache_only,
     improve,
@@ -34,6 +34,16 @@ from raygrid.node.geometry.surfaces import Batch, Kind, SurfaceSet, merge
 WALKS = Weights(walk=1.0, box=0.0, hit=0.0, primary=0.0, hop=0.0, returned=0.0, taken_in=0.0, held=0.0)
 Shape = tuple[int, int, int]
 Counts = NDArray[np.float64]
+
+
+def by_cell(work: CostGrid) -> NDArray[np.float64]:
+    """The work of each voxel of the grid as a cell of an array, float64 (nx, ny, nz)."""
+    cells = np.diff(np.diff(np.diff(work.done, axis=0), axis=1), axis=2)
+    for axis in range(3):
+        one, two = (other for other in range(3) if other != axis)
+        upwards, downwards = (np.diff(np.diff(work.crossed[axis, way], axis=one), axis=two) for way in (0, 1))
+        cells += np.delete(upwards, -1, axis=axis) + np.delete(downwards, 0, axis=axis)
+    return cells
 
 
 @pytest.fixture(autouse=True)

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support import paths
+from support.bounds import memory_bound, packets_bound, pixel_packets_bound, surfaces_bound
 from support.sockets import descriptors, shared_files, socket_inodes, unix_sockets
 
 from raygrid.emulator.driver.driver import BUDGET
 from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.emulator.processes.array import Array
-from raygrid.emulator.topology.bounds import memory_bound, packets_bound, pixel_packets_bound, surfaces_bound
 from raygrid.emulator.topology.coordinates import indices
 from raygrid.emulator.topology.limits import NODE_BYTES
 from raygrid.emulator.topology.topology import neighbour_links

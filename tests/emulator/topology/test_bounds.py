@@ -23,6 +23,7 @@ from support.array import (
     trees_alive,
     watch,
 )
+from support.bounds import memory_bound, packets_bound, pixel_packets_bound, surfaces_bound, trees_bound
 from support.frames import make_frame, material, perspective, point_light
 from support.scenes import Scene, mixed_scene, space_of
 from support.space import EVEN_STEP
@@ -31,16 +32,7 @@ from support.surfaces import batch, merge
 from raygrid.emulator.driver import dealing
 from raygrid.emulator.driver import driver as driver_module
 from raygrid.emulator.driver.admission import Progress
-from raygrid.emulator.topology.bounds import (
-    branches_of,
-    growth,
-    growth_of,
-    memory_bound,
-    packets_bound,
-    pixel_packets_bound,
-    surfaces_bound,
-    trees_bound,
-)
+from raygrid.emulator.topology.bounds import branches_of, growth, growth_of
 from raygrid.node.geometry.surfaces import Kind
 from raygrid.node.protocol.commands import TraceCommand
 from raygrid.node.protocol.messages import WINDOW

@@ -134,7 +134,7 @@ def test_names_are_fresh(base):
 def test_it_is_removed_with_all_that_is_in_it(base, error):
     place = SocketDirectory.create((1, 1, 1))
     with socket.socket(socket.AF_UNIX) as bound:
-        bound.bind(place.endpoint(0, (0, 0, 0), 0).removeprefix("ipc://"))
+        bound.bind(endpoint(place.path, 0, (0, 0, 0), 0).removeprefix("ipc://"))
     with pytest.raises(error), place:
         raise error
     assert list(base.iterdir()) == []
@@ -154,7 +154,7 @@ def test_a_fork_does_not_remove_it(base):
 def test_the_longest_socket_of_the_largest_array_can_be_bound(base):
     shape = (65535, 65535, 65535)
     with SocketDirectory.create(shape) as place, socket.socket(socket.AF_UNIX) as bound:
-        path = place.endpoint(65535, (65534, 65534, 65534), 2).removeprefix("ipc://")
+        path = endpoint(place.path, 65535, (65534, 65534, 65534), 2).removeprefix("ipc://")
         assert len(path) == longest_path(place.path, shape)
         bound.bind(path)
 

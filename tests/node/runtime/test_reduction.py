@@ -31,7 +31,7 @@ from raygrid.node.protocol.counters import BORN
 from raygrid.node.protocol.messages import HEAD, MessageKind
 from raygrid.node.protocol.packets import PRIMARY
 from raygrid.node.protocol.reset import NodeConfig
-from raygrid.node.runtime import reduction, reduction_replies
+from raygrid.node.runtime import reduction
 from raygrid.node.runtime.event_loop import BACK_OFFS
 from raygrid.node.runtime.native_link_table import NativeLinkTable
 from raygrid.node.runtime.processor import Processor
@@ -256,14 +256,14 @@ def test_both_answer_the_same_after_the_same_work(make):
 
 @pytest.mark.skipif(zmq_c_api.find_functions() is None, reason="no functions to call")
 def test_compiled_code_does_it_and_python_does_not(make, monkeypatch):
-    middle = make(True)
-    monkeypatch.setattr(reduction_replies, "pack_reply", lambda *rest: pytest.fail("Python answered"))
+    middle, answer = make(True), child_answer(9)
+    monkeypatch.setattr(reduction, "pack_reply", lambda *rest: pytest.fail("Python answered"))
     monkeypatch.setattr(Reductions, "notify_children", lambda self: pytest.fail("Python told"))
     monkeypatch.setattr(Processor, "receive", lambda self, port: pytest.fail("Python received"))
     monkeypatch.setattr(Processor, "serves_itself", lambda self, port: True)
     middle.say(LOW, MessageKind.REDUCE, request_bytes([9, 50, LONG, 300, 800, 17]))
     middle.until(lambda heard: len(heard) == 1)
-    middle.say(HIGH, MessageKind.REDUCED, child_answer(9))
+    middle.say(HIGH, MessageKind.REDUCED, answer)
     middle.until(answered)
     tuning = middle.node.node_state.tuning
     assert (tuning.batch_threshold, tuning.back_off, tuning.flush) == (300, 800 // BACK_OFFS, 17)
