@@ -97,7 +97,7 @@ def _path(value: object) -> str:
 
 
 def first_page(jobs: list[JobFacts], most_bytes: int) -> list[JobFacts]:
-    """As many of these as a message of about so many bytes has room for, one at least."""
+    """Take as many of these as a message of about so many bytes has room for, one at least."""
     room = most_bytes
     for count, facts in enumerate(jobs):
         texts = (facts["client"], facts["scene"], facts["error"], *facts["outputs"])

@@ -23,6 +23,7 @@ cannot be loaded for whatever reason is as one that is not there: it is compiled
 from __future__ import annotations
 
 import functools
+import hashlib
 import importlib
 import inspect
 import os
@@ -142,7 +143,7 @@ _RELIED_UPON = {
     "_CacheLocator": ("get_suitable_cache_subpath",),
     "IndexDataCacheFile": ("save", "_load_index", "_save_index", "_save_data", "_data_path", "_dump"),
     "CompileResultCacheImpl": ("filename_base", "locator"),
-    "FunctionCache": ("load_overload", "save_overload"),
+    "FunctionCache": ("load_overload", "save_overload", "_index_key"),
     "NullCache": ("load_overload", "save_overload"),
 }
 
@@ -230,6 +231,10 @@ if can_seal():
             locator = self._impl.locator
             stamp = locator.get_source_stamp()
             self._cache_file = _SealedFiles(locator.get_cache_path(), self._impl.filename_base, stamp)
+
+        def _index_key(self, sig: Any, codegen: Any) -> Any:
+            """Without what the function holds, which stands in its name (`node.jit.closures`)."""
+            return sig, codegen.magic_tuple(), hashlib.sha256(self._py_func.__code__.co_code).hexdigest()
 
 
 if can_seal() and can_load_alone():

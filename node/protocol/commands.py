@@ -67,7 +67,7 @@ class TraceCommand:
     flush: int = USUAL_FLUSH
 
     def as_map(self) -> dict[str, Any]:
-        """As it travels where it cannot be a reduction (`node.runtime.reduction`)."""
+        """Give the map that travels where it cannot be a reduction (`node.runtime.reduction`)."""
         return {"do": str(self.do)} | vars(self)
 
 

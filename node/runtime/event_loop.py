@@ -240,7 +240,9 @@ def _reply(node, idle, quota):
         return False
     for k in range(SUMS):
         reduction.total[k] = reduction.sums[k] + reduction.known[k]
-    add_own_sums_part(reduction.total, node.counts, node.held, node.outputs.held, node.cursor[DONE] == 0, quota)
+    add_own_sums_part(
+        reduction.total, node.step.counts, node.held, node.step.outputs.held, node.cursor[DONE] == 0, quota
+    )
     for port in range(LINKS):
         reduction.total[SUM_DATA_SENT] += native.links[port].data_sent
         reduction.total[SUM_DATA_DONE] += native.links[port].data_done
@@ -308,7 +310,7 @@ def run_loop(node, quota):
     quota  primaries that may be spawned
     Without native links it is one batch.
     """
-    native, tuning, held, outputs = node.native, node.tuning[0], node.held, node.outputs
+    native, tuning, held, outputs = node.native, node.tuning[0], node.held, node.step.outputs
     served, back_offs, since, serves = 0, BACK_OFFS, _count_time(native, -1, 0), False
     for port in range(LINKS):
         serves = serves or native.links[port].regular != 0
@@ -339,10 +341,7 @@ def run_loop(node, quota):
                     call_int(native.functions[0].sleep, (np.int64(tuning.back_off),))
                 continue
         back_offs = BACK_OFFS
-        quota, why, done = run_batch(
-            node.cell, node.space, node.frame, node.surfaces, node.pixels, node.cursor, quota, tuning, node.stacks, held,
-            outputs, node.counts,
-        )  # fmt: skip
+        quota, why, done = run_batch(node.step, node.ray_step, node.cursor, quota, tuning, node.stacks, held)
         since = _count_time(native, TRACING, since)
         if not serves or why == BATCH_CROWDED:
             return quota, why

@@ -154,21 +154,12 @@ class Profile:
     def _sample_spawned(self) -> None:
         """Spawn some primaries aside."""
         node_state = self._processor.node_state
-        assert node_state.pixels is not None
-        pixels = node_state.pixels._replace(samples=node_state.pixels.samples.copy())
+        tables = node_state.step_tables(node_state.outputs)
+        pixels = tables.pixels._replace(samples=tables.pixels.samples.copy())
         cursor = new_cursor(True)
         begun = time.thread_time()
         self._spawned += spawn_primaries(
-            node_state.cell,
-            node_state.space,
-            node_state.frame,
-            pixels,
-            cursor,
-            self._scratch,
-            0,
-            SPAWNED,
-            node_state.outputs.seen,
-            self._counts,
+            tables._replace(pixels=pixels, counts=self._counts), cursor, self._scratch, 0, SPAWNED
         )
         self._sampled["birth"] += time.thread_time() - begun
 

@@ -25,6 +25,7 @@ from raygrid.node.tracing.local_geometry import build_surfaces
 from raygrid.node.tracing.output_queues import make_outputs
 from raygrid.node.tracing.primaries import DONE, new_cursor, spawn_primaries
 from raygrid.node.tracing.step import step
+from raygrid.node.tracing.step_tables import StepTables
 from support.space import Index, indices, neighbour
 
 Bytes = NDArray[np.uint8]
@@ -90,12 +91,14 @@ class Grid:
                     self._serve(node)
             live = [n for n in self.nodes.values() if n.waiting() or (births and n.cursor[DONE] == 0)]
 
+    def tables(self, node: Node) -> StepTables:
+        """What the step of a cell reads and writes."""
+        return StepTables(node.cell, self.space, self.frame, node.surfaces, node.pixels, self.outputs, node.counts)
+
     def _bear(self, node: Node) -> None:
         room = 4096 if self.schedule is None else int(self.schedule.choice([1, 100, 4096]))
         buffer = np.zeros(room * SIZE, np.uint8)
-        made = spawn_primaries(
-            node.cell, self.space, self.frame, node.pixels, node.cursor, buffer, 0, room, self.outputs.seen, node.counts
-        )
+        made = spawn_primaries(self.tables(node), node.cursor, buffer, 0, room)
         node.receive(buffer.reshape(-1, SIZE)[:made].copy(), SELF)
 
     def _serve(self, node: Node) -> None:
@@ -110,19 +113,7 @@ class Grid:
         while first < many:
             in_parts = self.schedule is not None and self.schedule.random() < 0.3
             last = int(self.schedule.integers(first + 1, many + 1)) if in_parts else many
-            done = step(
-                node.cell,
-                self.space,
-                self.frame,
-                node.surfaces,
-                node.pixels,
-                flat,
-                served,
-                first,
-                last,
-                self.outputs,
-                node.counts,
-            )
+            done = step(self.tables(node), flat, served, first, last)
             assert done > first, "a step with room for its outputs made no headway"
             self.processed += done - first
             self.stopped += done < last
