@@ -176,7 +176,7 @@ if can_seal():
             return self._path
 
         def ensure_cache_path(self) -> None:
-            """As of numba's locators. Raises OSError where nobody should load anything from."""
+            """Make the directory, as numba's locators do. Raises OSError where nobody should load anything from."""
             make_private(Path(self._path))
             why = _why_not_trusted(self._path)
             if why is not None:
@@ -274,7 +274,7 @@ if can_seal() and can_load_alone():
 
 
 def _library(generator: Any, name: str, data: tuple[bytes, bytes], names: Names) -> Any:
-    """As `JITCodeLibrary._unserialize` makes it of object code, but the module for linking is parsed if it is asked for."""
+    """Make a library of object code as `JITCodeLibrary._unserialize` does, but parse the module for linking if it is asked for."""
     object_code, bitcode = data
     library = generator.create_library(name)
 
@@ -353,11 +353,11 @@ class LazyCache:
             remark("kept", f"compiled kernels cannot be kept, and each run compiles them anew ({why})")
 
     def enable(self) -> None:
-        """As of numba's caches."""
+        """Do what numba's caches do."""
         self._cache.enable()
 
     def disable(self) -> None:
-        """As of numba's caches."""
+        """Do what numba's caches do."""
         self._cache.disable()
 
     def flush(self) -> None:

@@ -35,7 +35,7 @@ from raygrid.node.protocol.messages import HEAD
 from raygrid.node.protocol.packets import KINDS, PRIMARY, SIZE, copy_packet
 from raygrid.node.protocol.timestamps import NEVER_TICK
 from raygrid.node.tracing.primaries import DONE, spawn_primaries
-from raygrid.node.tracing.step import step
+from raygrid.node.tracing.step import step_one
 from raygrid.node.tracing.step_tables import counted_in
 
 Long = NDArray[np.int64]
@@ -216,8 +216,7 @@ def serve(timed, node, slot, tick, tables, prices):
     timed.nodes[node]["trace"] = _mix(digest, np.int64(timed.bytes[byte + PACKET + SIZE - 1]) | (port << 8))
     counts, outputs = tables.counts, tables.outputs
     counts[:] = 0
-    # the one packet of an array that begins there, and the one port
-    step(tables, timed.bytes[byte + PACKET : byte + PORT_AT], timed.bytes[byte + PORT_AT : byte + HOPS_AT], 0, 1)
+    step_one(tables, timed.bytes, byte + PACKET, port)
     ticks = prices.packet + timed.nodes[node]["list_ticks"] * counts[WALKS]
     for k in range(COUNTS):
         ticks += prices.counts[k] * counts[k]

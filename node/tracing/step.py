@@ -2,8 +2,9 @@
 
 Packets go in as 25-byte rows with the port by which each came; what comes out is written to one row of
 bytes an output (six ports, host, and what starts in this node), intensities that are at home here to the
-pixel store, and costs to an array of counts. The node process, the in-memory array, the timed emulator
-and the simulator all call `step`, the last two with one packet at a time.
+pixel store, and costs to an array of counts. The node process and the in-memory array call `step`, with many packets;
+the timed processes and the simulator, which have to know what each costs, call `step_one`. The two set up rays in different
+ways, and whatever is done with a ray that is set up is the same function.
 
 A step is made of its parts (`make_step`): what a program brings takes the place of some of them, and a step that is
 observed, for explanations and for the sampling pre-pass, notes what each ray met.
@@ -20,7 +21,6 @@ from raygrid.node.geometry.grid_walk import HOST, NO_PORT, leaves_array, towards
 from raygrid.node.geometry.lattice import T_MIN
 from raygrid.node.geometry.spanning_tree import towards_corner_part
 from raygrid.node.jit.decorators import Function, part
-from raygrid.node.jit.simd import EIGHT
 from raygrid.node.protocol.counters import BOXES, DIED, WALKS
 from raygrid.node.protocol.messages import HEAD
 from raygrid.node.protocol.packets import (
@@ -59,12 +59,12 @@ from raygrid.node.tracing.ray_setup import (
 )
 from raygrid.node.tracing.secondary_rays import in_full, make_shade
 from raygrid.node.tracing.shading import light_discs, normals
+from raygrid.node.tracing.single_ray import open_root_for, set_up_ray
 from raygrid.node.tracing.step_tables import note_hit, note_ray
-from raygrid.node.tracing.traverse import Search, make_blocked, make_closest, meet
+from raygrid.node.tracing.traverse import Search, for_boxes, make_blocked, make_closest, meet
 
 # what is done with a packet, by its kind
 WALKS_ON, SHADOWS_ON, SETTLES = 0, 1, 2
-EVERYWHERE = np.float32(1e38)  # a box from minus to plus this holds whatever a ray meets
 
 
 @part
@@ -139,6 +139,21 @@ def _keep(frame, pixels, packets, at, counts):
 
 
 @part
+def _settle(tables, packets, at, kind):
+    """Step one return packet, kept at its home, else handed on towards it; or a pixel, on its way to the host."""
+    cell, counts = tables.cell, tables.counts
+    if kind == RETURN:
+        output = _way_home(cell, packets, at)
+    else:
+        output = towards_corner_part(cell.index, tables.space.shape)
+        counts[DIED + PIXEL] += output == HOST
+    if output == NO_PORT:
+        _keep(tables.frame, tables.pixels, packets, at, counts)
+    else:
+        hand_on(packets, at, output, tables.outputs, counts)
+
+
+@part
 def _sort_of_step(kind):
     """Number of the sort of step that a packet of this kind takes."""
     return np.int64(kind >= SHADOW) + np.int64(kind > SHADOW)
@@ -160,8 +175,10 @@ def _alike(packets, first, last):
 
 @part
 def _settle_each(tables, packets, first, last):
-    """Step packets first..last-1, all of them returns or pixels: a return is kept at its home, else handed on towards it, a
-    pixel goes to the host. Those that go on before those that are at home, without a branch for each."""
+    """Step packets first..last-1, all of them returns or pixels, as `_settle` does each.
+
+    Those that go on before those that are at home, without a branch for each.
+    """
     cell, outputs, counts = tables.cell, tables.outputs, tables.counts
     ways, lists = outputs.setup.ways, outputs.setup.lists
     output, passing, ending = towards_corner_part(cell.index, tables.space.shape), 0, 0
@@ -177,19 +194,6 @@ def _settle_each(tables, packets, first, last):
     for k in range(ending):
         at = (first + (lists[ENDING * SETUP_ROOM + k] & (SETUP_RAYS - 1))) * SIZE
         _keep(tables.frame, tables.pixels, packets, at, counts)
-
-
-@part
-def _marks(tables, many):
-    """(box of all, ways that lead to no neighbour) for `many` rays, see `node.tracing.ray_classify`.
-
-    To work out the box takes longer than to look into the root for a ray or two: they get one that holds everything.
-    """
-    floats = tables.surfaces.floats
-    ends = ends_of_array(tables.cell.index, tables.space.shape)
-    if many >= EIGHT or len(floats) == 0:
-        return box_of_all(floats), ends
-    return (-EVERYWHERE, -EVERYWHERE, -EVERYWHERE, EVERYWHERE, EVERYWHERE, EVERYWHERE), ends
 
 
 # --- a ray that is set up ------------------------------------------------------------------------------
@@ -210,26 +214,28 @@ def _make_step_ray(parts: Parts) -> Function:
     edge_colour, observed = parts.edge_colour, parts.observed
 
     @part
-    def step_ray(tables, packets, k, j):
-        """Step the ray of packet k, which is set up in column j."""
-        outputs, counts, at = tables.outputs, tables.counts, k * SIZE
-        kind = read_kind(packets, at)
-        way, o, d, _, t_in, t_out, _ = column(outputs.setup, j)
+    def step_ray(tables, packets, at, ray, boxes, met):
+        """Step the ray of the packet at `at`, which is set up.
+
+        ray    (way, origin, direction, inverse direction, t_in, t_out, distance), as of `ray_setup.column`
+        boxes  the same as `traverse.for_boxes` gives it; met  how many keys of the root's boxes are on the stack
+        """
+        outputs, counts, kind = tables.outputs, tables.counts, read_kind(packets, at)
+        way, o, d, _, t_in, t_out, _ = ray
         if way == NOT_AT_START:
             _hand_to_start(tables, packets, at)
             return
-        met = take_root(outputs.setup, j, outputs.stack)
         counts[WALKS] += 1
         if met == 0:
             counts[BOXES] += len(tables.surfaces.floats) > 0
         else:
-            ray = Search(o, d, boxes_of(outputs.setup, j), max(t_in, T_MIN), t_out)
-            t, item, u, v = closest_below(tables.surfaces, outputs.stack, met, ray, counts)
+            search = Search(o, d, boxes, max(t_in, T_MIN), t_out)
+            t, item, u, v = closest_below(tables.surfaces, outputs.stack, met, search, counts)
             if item >= 0:
                 p = (o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2])
                 inside = shade(tables, packets, at, kind, d, (t, item, u, v, p))
                 if observed:
-                    note_hit(outputs.found, k, item, t, inside)
+                    note_hit(outputs.found, at // SIZE, item, t, inside)
                 return
         if leaves_array(tables.cell.index, tables.space.shape, way):
             _bring_home(tables, packets, at, kind, edge_colour(tables.frame, d))
@@ -245,14 +251,14 @@ def _make_is_blocked(meet: Function, observed: bool) -> Function:
     closest_below, blocked_below = make_closest(meet), make_blocked(meet)
 
     @part
-    def is_blocked(tables, met, ray, k):
-        """Tell whether the ray of packet k meets anything; met  keys of the root that are on the stack."""
-        return blocked_below(tables.surfaces, tables.outputs.stack, met, ray, tables.counts)
+    def is_blocked(tables, at, met, search):
+        """Tell whether the ray of the packet at `at` meets anything."""
+        return blocked_below(tables.surfaces, tables.outputs.stack, met, search, tables.counts)
 
     @part
-    def is_seen_blocked(tables, met, ray, k):
-        t, item, _, _ = closest_below(tables.surfaces, tables.outputs.stack, met, ray, tables.counts)
-        note_hit(tables.outputs.found, k, item, t, False)
+    def is_seen_blocked(tables, at, met, search):
+        t, item, _, _ = closest_below(tables.surfaces, tables.outputs.stack, met, search, tables.counts)
+        note_hit(tables.outputs.found, at // SIZE, item, t, False)
         return item >= 0
 
     return is_seen_blocked if observed else is_blocked
@@ -264,20 +270,19 @@ def _make_step_shadow(meet: Function, observed: bool) -> Function:
     is_blocked = _make_is_blocked(meet, observed)
 
     @part
-    def step_shadow(tables, packets, k, j):
-        """Step the shadow ray of packet k, which is set up in column j: forgotten at the first surface, a return packet
-        where it reaches its light."""
-        outputs, counts, at = tables.outputs, tables.counts, k * SIZE
-        way, o, d, _, t_in, t_out, distance = column(outputs.setup, j)
+    def step_shadow(tables, packets, at, ray, boxes, met):
+        """Step a shadow ray, arguments as of `step_ray`: forgotten at the first surface, a return packet where it reaches its
+        light."""
+        outputs, counts = tables.outputs, tables.counts
+        way, o, d, _, t_in, t_out, distance = ray
         if way == NOT_AT_START:
             _hand_to_start(tables, packets, at)
             return
-        met = take_root(outputs.setup, j, outputs.stack)
         counts[WALKS] += 1
         if met == 0:
             counts[BOXES] += len(tables.surfaces.floats) > 0
-        ray = Search(o, d, boxes_of(outputs.setup, j), max(t_in, T_MIN), min(t_out, distance))
-        if met > 0 and is_blocked(tables, met, ray, k):
+        search = Search(o, d, boxes, max(t_in, T_MIN), min(t_out, distance))
+        if met > 0 and is_blocked(tables, at, met, search):
             counts[DIED + SHADOW] += 1
         elif distance <= t_out or leaves_array(tables.cell.index, tables.space.shape, way):
             _reach_light(tables, packets, at)
@@ -298,7 +303,10 @@ def _make_step_each(parts: Parts) -> Function:
 
     @part
     def step_each(tables, packets, first, many, shadows, marks):
-        """Step `many` packets from the first on, all of shadow rays or none, that are set up already; marks as `_marks`."""
+        """Step `many` packets from the first on, all of shadow rays or none, that are set up already.
+
+        marks  (box of all, ways that lead to no neighbour), see `node.tracing.ray_classify`
+        """
         outputs, counts = tables.outputs, tables.counts
         setup = outputs.setup
         if observed:
@@ -309,10 +317,12 @@ def _make_step_each(parts: Parts) -> Function:
         hand_on_all(packets, first, setup.lists, PASSING * SETUP_ROOM, passing, setup.ways, outputs, counts)
         for k in range(ending + searched):
             j = unfinished(setup, k, ending)
+            at = (first + j) * SIZE
+            ray, boxes, met = column(setup, j), boxes_of(setup, j), take_root(setup, j, outputs.stack)
             if shadows:
-                step_shadow(tables, packets, first + j, j)
+                step_shadow(tables, packets, at, ray, boxes, met)
             else:
-                step_ray(tables, packets, first + j, j)
+                step_ray(tables, packets, at, ray, boxes, met)
 
     return step_each
 
@@ -332,7 +342,7 @@ def make_step(parts: Parts) -> Function:
         """
         outputs, frame = tables.outputs, tables.frame
         room = (outputs.data.shape[1] - HEAD) // SIZE
-        marks = _marks(tables, last - first)
+        marks = (box_of_all(tables.surfaces.floats), ends_of_array(tables.cell.index, tables.space.shape))
         k = first
         while True:
             # so many packets cannot fill an output, whatever they spawn: no need to look at each
@@ -356,5 +366,29 @@ def make_step(parts: Parts) -> Function:
     return step
 
 
-step = make_step(Parts())
+@cache
+def make_step_one(parts: Parts) -> Function:
+    """Make the ray step of one packet, of the same parts."""
+    step_ray, step_shadow = _make_step_ray(parts), _make_step_shadow(parts.meet, parts.observed)
+
+    @part
+    def step_one(tables, packets, at, port):
+        """Process the packet at byte `at` of `packets` that came by a port."""
+        outputs, kind = tables.outputs, read_kind(packets, at)
+        if kind == RETURN or kind == PIXEL:
+            _settle(tables, packets, at, kind)
+            return
+        ray = set_up_ray(tables.cell, tables.space, tables.frame, packets, at, port, kind)
+        met = open_root_for(tables.surfaces, ray, outputs.stack)
+        boxes = for_boxes(ray[1], ray[3])
+        if kind == SHADOW:
+            step_shadow(tables, packets, at, ray, boxes, met)
+        else:
+            step_ray(tables, packets, at, ray, boxes, met)
+        write_all_noted(tables)
+
+    return step_one
+
+
+step, step_one = make_step(Parts()), make_step_one(Parts())
 observed_step = make_step(Parts(observed=True))

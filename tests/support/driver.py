@@ -5,7 +5,7 @@ Nothing here is the machine's: it holds the ray step to its own word.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,11 +63,20 @@ class Node:
 
 
 class Grid:
-    """All cells of an array. `schedule` shuffles nodes, orders of packets, and how many are handed to a call."""
+    """All cells of an array. `schedule` shuffles nodes, orders of packets, and how many are handed to a call.
+
+    serve  what takes packets first..last-1, arguments and result as of `step`
+    """
 
     def __init__(
-        self, space: Space, surfaces: SurfaceSet, frame: Frame, schedule: np.random.Generator | None = None
+        self,
+        space: Space,
+        surfaces: SurfaceSet,
+        frame: Frame,
+        schedule: np.random.Generator | None = None,
+        serve: Callable[..., int] = step,
     ) -> None:
+        self.step = serve
         self.space, self.frame, self.schedule = space, frame, schedule
         self.limits = frame_limits(frame, space.shape)
         self.nodes = {index: Node(space, index, surfaces, frame) for index in indices(space)}
@@ -113,7 +122,7 @@ class Grid:
         while first < many:
             in_parts = self.schedule is not None and self.schedule.random() < 0.3
             last = int(self.schedule.integers(first + 1, many + 1)) if in_parts else many
-            done = step(self.tables(node), flat, served, first, last)
+            done = self.step(self.tables(node), flat, served, first, last)
             assert done > first, "a step with room for its outputs made no headway"
             self.processed += done - first
             self.stopped += done < last

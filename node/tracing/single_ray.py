@@ -1,18 +1,27 @@
-"""Sets up one ray after the other: the definition of what `node.tracing.ray_setup` does with eight at once."""
+"""Sets up one ray, for those who serve packets one at a time: a service of machine time costs what its own packet did.
+
+`node.tracing.ray_setup` does the same with eight rays, and a test compares the bits. A batch of one through that took the
+simulator 360 instead of 241 ns an event (balls_3 at 64x64 on 4x4x4).
+"""
+
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
+# kernels: numba infers their types
 
 from __future__ import annotations
 
 import numpy as np
 
 from raygrid.node.geometry.grid_walk import NO_PORT, inverse, is_walking, passage, towards_start
+from raygrid.node.geometry.lattice import T_MIN
 from raygrid.node.jit.decorators import part
 from raygrid.node.protocol.packets import SHADOW, read_origin, read_u16, read_u24, unit_vector
 from raygrid.node.tracing.ray_setup import NOT_AT_START
 from raygrid.node.tracing.shading import light_direction, place
+from raygrid.node.tracing.traverse import open_root
 
 
 @part
-def set_up(cell, space, frame, packets, at, port, kind):
+def set_up_ray(cell, space, frame, packets, at, port, kind):
     """Set up a ray or shadow ray before any surface is looked at: (way, o, d, inv, t_in, t_out, distance).
 
     way  the exit port; NOT_AT_START for one that has to go to the cell of its origin first
@@ -28,3 +37,12 @@ def set_up(cell, space, frame, packets, at, port, kind):
     if not is_walking(cell, origin, port) and towards_start(cell, origin) != NO_PORT:
         way = NOT_AT_START
     return way, o, d, inv, t_in, t_out, distance
+
+
+@part
+def open_root_for(surfaces, ray, stack):
+    """Put the keys of the root's boxes that a ray meets on the stack; returns how many. ray  as `set_up_ray` gives it"""
+    if len(surfaces.floats) == 0:
+        return 0
+    _, o, _, inv, t_in, t_out, distance = ray
+    return open_root(surfaces, stack, 0, o, inv, max(t_in, T_MIN), min(t_out, distance))
