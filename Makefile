@@ -7,7 +7,8 @@ STAMP  := $(VENV)/.installed
 PIP    := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet
 
 .DEFAULT_GOAL := help
-.PHONY: help render test test-long style types check wheel-check picture bench faults fuzz fuzz-scenes clean
+.PHONY: help render test test-long test-switches style types check check-oldest check-newest check-bounds check-interpreted \
+        check-versions wheel-check picture bench faults fuzz fuzz-scenes clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -38,6 +39,12 @@ test: $(STAMP) ## the tests, two files at a time: WORKERS=4 for four
 test-long: $(STAMP) ## all tests, the long ones too
 	$(BIN)/python -m pytest
 
+# each turns one fast path off (docs/doctor.md)
+SWITCHES := RAYGRID_FAST_LOAD RAYGRID_NATIVE_LINKS RAYGRID_SIMD
+
+test-switches: $(STAMP) ## the tests with each fast path off, one after the other; long
+	@for switch in $(SWITCHES); do echo "$$switch=0"; env $$switch=0 $(PYTEST) -m "not slow" || exit 1; done
+
 style: $(VENV)/.dev ## ruff
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -53,6 +60,38 @@ check: ## style, types and tests: what .ci/run and every forge call
 	@$(MAKE) --no-print-directory style
 	@$(MAKE) --no-print-directory types
 	@$(MAKE) --no-print-directory test
+
+# what shows if kernels compile, load and give the right bits, and links work, with other versions of the libraries
+TELLING := tests/node tests/emulator/driver tests/emulator/processes/test_array.py tests/host/cli/test_doctor_facts.py \
+           tests/system/test_same_bits.py tests/system/test_known_pictures.py tests/system/test_switches.py
+
+check-oldest: ## a telling part of the tests with the oldest libraries that pyproject.toml allows, in build/oldest
+	@$(MAKE) --no-print-directory check-versions OF=oldest CHOOSE='--constraint .ci/oldest.txt'
+
+check-newest: ## the same with the newest, releases to come too, in build/newest
+	@$(MAKE) --no-print-directory check-versions OF=newest CHOOSE='--pre --upgrade --upgrade-strategy eager'
+
+check-versions:
+	$(PYTHON) -m venv build/$(OF)
+	PYTHONWARNINGS=ignore build/$(OF)/bin/python -m pip install --quiet --upgrade pip
+	PYTHONWARNINGS=ignore build/$(OF)/bin/python -m pip install --quiet $(CHOOSE) --editable '.[test]'
+	build/$(OF)/bin/python -m pip list | grep -iE '^(numpy|numba|llvmlite|pyzmq|xxhash|msgpack) '
+	RAYGRID_CACHE=build/$(OF)/kernels $(subst $(BIN),build/$(OF)/bin,$(PYTEST)) -m "not slow" $(TELLING)
+
+# indices that lie outside an array raise; kernels of their own, in build/bounds
+CHECKED := NUMBA_BOUNDSCHECK=1 RAYGRID_CACHE=build/bounds
+SHARED  ?= $(or $(RAYGRID_SHARED),../shared)
+
+check-bounds: $(STAMP) ## tests of kernels, and some pictures, with every index checked
+	@mkdir -p out
+	$(CHECKED) $(PYTEST) -m "not slow" tests/node/jit tests/node/geometry tests/node/protocol tests/node/tracing tests/node/runtime
+	@for scene in scenes/room.glb scenes/lights.toml $(wildcard $(SHARED)/scenes/spd/balls_3.nff $(SHARED)/scenes/spd/gears_1.nff); do \
+	    echo "$$scene" && $(CHECKED) $(BIN)/raygrid render "$$scene" --size 256x192 -q -o out/checked.png || exit 1; done
+
+check-interpreted: $(STAMP) ## tests of what is plain Python, without a compiler
+	NUMBA_DISABLE_JIT=1 $(PYTEST) -m "not slow" tests/node/protocol tests/node/jit/test_intrinsics.py \
+	    tests/node/jit/test_records.py tests/node/jit/test_switches.py tests/node/links/test_link.py \
+	    tests/node/links/test_link_flow.py tests/node/links/test_control_channel.py
 
 wheel-check: $(STAMP) ## build the wheel, install it into an empty environment, and use it there
 	$(BIN)/python -m pytest tests/system/test_wheel.py

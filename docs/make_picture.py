@@ -1,8 +1,9 @@
 """Draws docs/architecture.svg: the packages and what they import, read from the sources. `make picture`
 
-An arrow means "imports". One that only shortens a longer way of arrows is left out, as are those to `node.errors` and
-`node.remarks`, which everything may import. Where a box stands is said here by hand; the arrows come from the imports, so a
-package or an import that is new either fits in or is named as lacking a place. The same sources give the same bytes.
+An arrow means "imports". One that only shortens a longer way of arrows is left out, as are those to `node.errors`,
+`node.faces` and `node.remarks`, which everything may import. Where a box stands is said here by hand; the arrows come from
+the imports, so a package or an import that is new either fits in or is named as lacking a place. The same sources give the
+same bytes.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ PICTURE = ROOT / "docs" / "architecture.svg"
 WIDTH, HEIGHT = 1440, 822
 BOX_WIDTH, BOX_HEIGHT = 130, 50
 LEFT, PITCH = 36, 151.75  # of a column
-FOR_ALL = ("node.errors", "node.remarks")  # arrows to them would only hide the others
+FOR_ALL = ("node.errors", "node.faces", "node.remarks")  # arrows to them would only hide the others
 
 BANDS = {  # layer -> (top, height, what it is)
     "host": (58, 262, "the front end"),
@@ -48,8 +49,9 @@ PLACES = {  # package -> (column, its middle below the top of the band, what it 
     "emulator.processes": (5.4, 62, "fork server, nodes"),
     "emulator.simulator": (6.9, 62, "all in one process"),
     "emulator.analysis": (8, 62, "ray trees, deadlock"),
-    "node.errors": (0, 82, "what is raised"),
-    "node.remarks": (0, 152, "what is remarked"),
+    "node.faces": (0, 58, "what packages give"),
+    "node.errors": (0, 117, "what is raised"),
+    "node.remarks": (0, 176, "what is remarked"),
     "node.jit": (1, 117, "compiled kernels"),
     "node.geometry": (2, 117, "space, surfaces, hits"),
     "node.protocol": (3, 117, "every byte sent"),
@@ -178,8 +180,8 @@ def draw(modules: Modules) -> str:
         lines.append(f'<text x="{x:.0f}" y="{y - 3:.0f}">{name.partition(".")[2]}</text>')
         lines.append(f'<text class="what" x="{x:.0f}" y="{y + 15:.0f}">{what}</text></g></g>')
     note = (
-        "An arrow means: imports. Left out are arrows that a longer way of arrows implies, and those to errors and remarks, "
-        "which all may import."
+        "An arrow means: imports. Left out are arrows that a longer way of arrows implies, and those to faces, errors and "
+        "remarks, which all may import."
     )
     lines += [f'<text class="note" x="{LEFT}" y="{HEIGHT - 22}">{note}</text>', "</svg>", ""]
     return "\n".join(lines)

@@ -136,16 +136,14 @@ class NodeProcess:
         channels = self._with_faults(config, pairs)
         kind = processor_class(config.timed)
         links = open_links(config, channels)
-        processor = kind(config.index, config.shape, links, config.batch, programs=config.programs)
-        if config.profile:
-            from raygrid.node.runtime.profile import Profile
-
-            Profile(processor)
+        processor = kind(
+            config.index, config.shape, links, config.batch, programs=config.programs, profile=config.profile
+        )
         faults = [channel for channel in channels.values() if isinstance(channel, FaultyChannel)]
         if config.timed:  # what keeps machine time takes other messages than those that compiled code knows
             return self._loop(config, processor, pairs, faults)
         others = self._life, self._control.fileno()
-        native_links = NativeLinkTable(links, pairs, processor.reductions.reduction, others, timed=config.profile)
+        native_links = NativeLinkTable(links, pairs, processor.reductions.reduction, others)
         with closing(native_links):
             processor.use_native_links(native_links)
             return self._loop(config, processor, pairs, faults)

@@ -15,6 +15,8 @@ from support.cases import steady
 from support.order import place_of
 from support.processes import MARK, Leftovers, no_leftovers
 
+from raygrid.node.jit.switches import SWITCHES
+
 __all__ = ["no_leftovers"]  # for the single tests of files that start processes
 
 TIMEOUT, SLOW_TIMEOUT = 300, 900  # seconds; a first run compiles
@@ -68,3 +70,17 @@ def pytest_configure(config: pytest.Config) -> None:
 def quick_records(monkeypatch: pytest.MonkeyPatch) -> None:
     """Records of nodes in memory without this process' own memory, which takes the kernel longer than a small picture."""
     monkeypatch.setattr("raygrid.node.runtime.report.private_memory", lambda: 0)
+
+
+@pytest.fixture
+def fast_paths_on(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """For tests of fast paths: none is turned off, also where the tests run with one of them off (`make test-switches`)."""
+    from raygrid.node.links import zmq_c_api
+
+    for switch in SWITCHES:
+        monkeypatch.setenv(switch.variable, "1")
+    monkeypatch.delenv(zmq_c_api.OLD_SWITCH, raising=False)
+    forget = zmq_c_api._look_for_functions.cache_clear
+    forget()
+    yield
+    forget()

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -315,7 +314,7 @@ class Driver:
             quota = next_quota(budget, now, before, answer["sums"][ALLOWED])
             before = now
             command = batching(now.in_flight, self.nodes, self._processors)
-            answer = self.wave(replace(command, quota=quota, hold=hold))
+            answer = self.wave(command._replace(quota=quota, hold=hold))
 
     def _why_stuck(self, now: Progress) -> str:
         waiting = [f"{name_of(node['index'])} holds {node['waiting']}" for node in self.report() if node["waiting"]]

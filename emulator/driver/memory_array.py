@@ -29,6 +29,7 @@ class MemoryArray:
         order: Order = np.arange,
         programs: bool = False,
         timed: bool = False,
+        profile: bool = False,
     ) -> None:
         channels: dict[tuple[int, int, int], dict[int, Any]] = {index: {} for index in indices(shape)}
         for link in neighbour_links(shape):
@@ -41,7 +42,7 @@ class MemoryArray:
         for index in indices(shape):
             links = open_links(NodeConfig(index, shape), channels[index])
             kind = processor_class(timed)
-            self.processors.append(kind(index, shape, links, batch, lambda: 0.0, programs))
+            self.processors.append(kind(index, shape, links, batch, lambda: 0.0, programs, profile))
         links_of_host: dict[int, Link] = host_links(shape, host_ends, "memory", 0)
         self.driver = Driver(shape, links_of_host, self._pump)
 

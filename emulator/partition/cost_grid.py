@@ -19,10 +19,9 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numba.core import event
 from numpy.typing import NDArray
 
 from raygrid.emulator.partition.kernels import search_planes, walk_rays
@@ -32,7 +31,7 @@ from raygrid.node.geometry import (
     LATTICE,
     Space,
 )
-from raygrid.node.jit import is_on_disk
+from raygrid.node.jit import compiling_heard_by, is_on_disk
 
 F64 = NDArray[np.float64]
 # The largest cell is approached by norms of order 2^n: a low order sees all cells, a high one the largest only.
@@ -115,18 +114,14 @@ class NotCompiledError(Exception):
     """A kernel is not in the cache."""
 
 
-class _Refusal(event.Listener):
-    def on_start(self, event: Any) -> None:
-        raise NotCompiledError
-
-    def on_end(self, event: Any) -> None:
-        """Never comes."""
+def _refuse(_function: object) -> None:
+    raise NotCompiledError
 
 
 @contextlib.contextmanager
 def from_cache_only() -> Iterator[None]:
     """Where a kernel would be compiled, raise NotCompiledError instead."""
-    with event.install_listener("numba:compile", _Refusal()):
+    with compiling_heard_by(begins=_refuse):
         yield
 
 

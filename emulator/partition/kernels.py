@@ -8,11 +8,13 @@ from __future__ import annotations
 import numpy as np
 
 from raygrid.node.geometry import (
+    FAREST,
     LEAF_BIT,
     NODE_WORDS,
     T_MIN,
     cell_index,
     coordinate,
+    for_boxes,
     inverse,
     nearest,
     push_boxes,
@@ -20,13 +22,11 @@ from raygrid.node.geometry import (
 from raygrid.node.jit import lean, part
 from raygrid.node.protocol import PRIMARY, SHADOW, SIZE, read_kind, read_origin, read_u32
 from raygrid.node.tracing import (
-    FAREST,
     FOUND_DIRECTION,
     FOUND_DISTANCE,
     FOUND_OUT,
     FOUND_TIME,
     edge_colour,
-    for_boxes,
     place,
     ray_of_sample,
 )
@@ -180,7 +180,7 @@ def _open_boxes(surfaces, stack, grid, whole, weight, work):
         t = np.float64(np.uint32(key >> 32).view(np.float32))
         if child >= LEAF_BIT:
             continue
-        top += push_boxes(surfaces.floats, child * NODE_WORDS, near, ray, np.float32(T_MIN), high, stack, top)
+        top = push_boxes(surfaces.floats, child * NODE_WORDS, near, ray, np.float32(T_MIN), high, stack, top)
         x = cell_index(grid.planes, 0, grid.shape[0], nearest(o[0] + t * d[0], grid.step[0]))
         y = cell_index(grid.planes, 1, grid.shape[1], nearest(o[1] + t * d[1], grid.step[1]))
         z = cell_index(grid.planes, 2, grid.shape[2], nearest(o[2] + t * d[2], grid.step[2]))

@@ -81,10 +81,9 @@ class Array:
             patience = min(FAULT_PATIENCE, FAULT_PATIENCE if patience is None else patience)
         self.shape, self.batch, self.patience, self.fault = shape, batch, patience, fault
         self.programs, self.profile, self.timed, self.injected = programs, profile, timed, 0
-        self.epoch, self.restarts = -1, 0
+        self.epoch, self.restarts, self.refused_samples = -1, 0, 0
         self.lost_nodes: list[str] = []
-        self.refused_samples = 0
-        self._rate = 0.0
+        self._rate = self._listened = 0.0
         self._on_sample: Callable[[NodeSample], object] | None = None
         self._on_warming = on_warming
         self.on_wait: Callable[[], None] | None = None
@@ -97,7 +96,6 @@ class Array:
         self._driver: Driver | None = None
         self._begun = self._closing = False
         self._lost: RaygridError | None = None
-        self._listened = 0.0
         self._watch: ProcessWatch | None = None
 
     @classmethod
@@ -238,7 +236,7 @@ class Array:
         links = host_links(self.shape, self._pairs, machine, self.epoch)
         patience = PATIENCE if self.patience is None else self.patience
         ready = READY_SECONDS + READY_SECONDS_A_NODE * len(self.pids)
-        self._driver = Driver(self.shape, links, self._pump, min(patience, ready), self._why_silent)
+        self._driver = Driver(self.shape, links, self._pump, min(patience, ready), self._node_processes.why_silent)
         self._driver.ready()
         self._driver.patience = patience
         self._place.forget_epochs_before(self.epoch)
@@ -342,14 +340,13 @@ class Array:
     def _take_sample(self, index: Index, fields: Message) -> None:
         from raygrid.emulator.driver.samples import read_sample
 
-        if self._on_sample is None:
-            return
-        try:
-            sample = read_sample(index, fields)
-        except ProtocolError:
-            self.refused_samples += 1
-            return
-        self._on_sample(sample)
+        if self._on_sample is not None:
+            try:
+                sample = read_sample(index, fields)
+            except ProtocolError:
+                self.refused_samples += 1
+            else:
+                self._on_sample(sample)
 
     def _look(self, idle: bool = False) -> None:
         """Look, now and then, for nodes that do not run; `idle`: for a fork server that does not, too, which a frame can do
@@ -362,10 +359,6 @@ class Array:
         if lost is not None:
             self._lost = LostProcess(lost)
             raise self._lost
-
-    def _why_silent(self) -> str:
-        """Which nodes do not run, and why: "node 1,0,0 (pid 17) is stopped"."""
-        return "; ".join([node.told for node in self.nodes() if node.state not in ("running", "waiting")][:8])
 
     def close(self) -> None:
         """End all processes, close all sockets, remove all files. May be called twice, and at any time."""

@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 import time
-from typing import Any
 
-from numba.core import event as _event
-
-event: Any = _event  # has no types
+from raygrid.node.jit import always_heard_by
 
 
-class _Stopped(event.Listener):  # type: ignore[misc]
+class _Stopped:
     """How long the clock has stood; functions are compiled within others, which counts once."""
 
     def __init__(self) -> None:
         self.seconds, self._begun, self._depth = 0.0, 0.0, 0
 
-    def on_start(self, _event: Any) -> None:
+    def begins(self, _function: object) -> None:
         """It stops."""
         if self._depth == 0:
             self._begun = time.perf_counter()
         self._depth += 1
 
-    def on_end(self, _event: Any) -> None:
+    def ends(self, _function: object) -> None:
         """It goes on."""
         self._depth -= 1
         if self._depth == 0:
@@ -30,7 +27,7 @@ class _Stopped(event.Listener):  # type: ignore[misc]
 
 
 _stopped = _Stopped()
-event.register("numba:compile", _stopped)
+always_heard_by(_stopped.begins, _stopped.ends)
 
 
 def now() -> float:

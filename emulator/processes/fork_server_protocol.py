@@ -5,10 +5,10 @@ Each is a map on their socket (`emulator.processes.control`), with its name unde
     order                              reports
                                        {is: warming, done, total, what}      while it warms
                                        {is: warm}                            once
-    {do: launch, configs: [map, ...]}  {is: lines, count}, as often as needed, with as many descriptors;
+    {do: launch, configs: [map, ...]}  {is: lines, number}, as often as needed, with as many descriptors;
                                        then {is: launched, pids: [...]}, or only {is: refused, why}
     {do: kill, pids: [...]}            {is: ended, ...} of each that is a node and lives
-                                       {is: ended, pid, index, status}       status < 0: minus the signal
+                                       {is: ended, pid, node, status}        status < 0: minus the signal
     {do: end}                          the socket closes when all nodes are reaped
 
 The descriptors are the host's ends of the control channels to the nodes (`node.links.control_channel`), in the order of
@@ -18,34 +18,30 @@ the configs.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from raygrid.emulator.processes.control import Message
 from raygrid.emulator.topology.coordinates import Index
 from raygrid.node.errors import ProtocolError
 
 
-@dataclass(frozen=True)
-class Launch:
+class Launch(NamedTuple):
     """Fork a node for each config."""
 
     configs: Sequence[Message]
 
 
-@dataclass(frozen=True)
-class Kill:
+class Kill(NamedTuple):
     """Kill these nodes; those that have ended already are passed over."""
 
     pids: Sequence[int]
 
 
-@dataclass(frozen=True)
-class End:
+class End(NamedTuple):
     """End all nodes, reap them, and exit."""
 
 
-@dataclass(frozen=True)
-class Warming:
+class Warming(NamedTuple):
     """The fork server compiles or loads kernels: `done` of `total` are ready, `what` comes next."""
 
     done: int
@@ -53,38 +49,33 @@ class Warming:
     what: str
 
 
-@dataclass(frozen=True)
-class Warm:
+class Warm(NamedTuple):
     """Nodes can be launched."""
 
 
-@dataclass(frozen=True)
-class ControlEnds:
+class ControlEnds(NamedTuple):
     """So many descriptors came with this report."""
 
-    count: int
+    number: int
 
 
-@dataclass(frozen=True)
-class Launched:
+class Launched(NamedTuple):
     """All nodes of a launch are forked; their process ids in the order of the configs."""
 
     pids: Sequence[int]
 
 
-@dataclass(frozen=True)
-class Refused:
+class Refused(NamedTuple):
     """An order was not carried out."""
 
     why: str
 
 
-@dataclass(frozen=True)
-class NodeEnded:
+class NodeEnded(NamedTuple):
     """A node has ended. status: its exit code, or minus the number of the signal that ended it."""
 
     pid: int
-    index: Index
+    node: Index
     status: int
 
 
@@ -107,7 +98,7 @@ NAMES: dict[type[Order | Report], tuple[str, str]] = {
 def as_message(told: Order | Report) -> Message:
     """The map that carries an order or a report."""
     verb, name = NAMES[type(told)]
-    return {verb: name, **vars(told)}
+    return {verb: name, **told._asdict()}
 
 
 def read_order(message: Message) -> Order | None:
@@ -129,12 +120,12 @@ def read_report(message: Message) -> Report:
             return Warming(done, total, what)
         case {"is": "warm"}:
             return Warm()
-        case {"is": "lines", "count": int(count)}:
-            return ControlEnds(count)
+        case {"is": "lines", "number": int(number)}:
+            return ControlEnds(number)
         case {"is": "launched", "pids": (*pids,)}:
             return Launched(pids)
         case {"is": "refused", "why": str(why)}:
             return Refused(why)
-        case {"is": "ended", "pid": int(pid), "index": (int(x), int(y), int(z)), "status": int(status)}:
+        case {"is": "ended", "pid": int(pid), "node": (int(x), int(y), int(z)), "status": int(status)}:
             return NodeEnded(pid, (x, y, z), status)
     raise ProtocolError(f"the fork server reported {str(message)[:200]}, which is no report")

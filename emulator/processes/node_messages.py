@@ -2,35 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from raygrid.emulator.processes.control import Message
 
 
-@dataclass(frozen=True)
-class EpochBegun:
+class EpochBegun(NamedTuple):
     """The node obeys the reset to this epoch, or has just been forked for it."""
 
     epoch: int
 
 
-@dataclass(frozen=True)
-class LinksBroken:
+class LinksBroken(NamedTuple):
     """The node gave up its links and waits for a reset."""
 
     epoch: int
     why: str
 
 
-@dataclass(frozen=True)
-class SampleTaken:
+class SampleTaken(NamedTuple):
     """What is to be a sample of a probe, not checked yet (`emulator.driver.samples.read_sample`)."""
 
     fields: Message
 
 
-@dataclass(frozen=True)
-class FaultInjected:
+class FaultInjected(NamedTuple):
     """A message was hit by a fault on purpose."""
 
 

@@ -83,6 +83,10 @@ class NodeProcesses:
         found = [(index, pid, process_state(pid)) for index, pid in self.pids.items()]
         return [ProcessState(index, pid, STATES.get(letter, letter)) for index, pid, letter in found]
 
+    def why_silent(self) -> str:
+        """Which nodes do not run, and why: "node 1,0,0 (pid 17) is stopped"; the first eight of them."""
+        return "; ".join([node.told for node in self.states() if node.state not in ("running", "waiting")][:8])
+
     def begin(self, configs: dict[Index, Config]) -> int:
         """Bring every node to the epoch of these configs; returns how many were forked for it.
 

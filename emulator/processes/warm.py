@@ -14,7 +14,6 @@ import contextlib
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from numba.core import event
 
 from raygrid.emulator.driver.collector import Collected
 from raygrid.emulator.driver.memory_array import MemoryArray
@@ -36,7 +35,7 @@ from raygrid.node.geometry import (
     make_groups,
     make_space,
 )
-from raygrid.node.jit import cache
+from raygrid.node.jit import cache, compiling_heard_by
 from raygrid.node.links import find_functions
 from raygrid.node.protocol import (
     COUNTS,
@@ -58,8 +57,8 @@ Report = Callable[[int, int, str], None]
 KERNELS, TIMED_KERNELS = 338, 24
 
 
-class Compilations(event.Listener):
-    """Reports every function that numba has compiled and not found in its cache.
+class Compilations:
+    """Reports every function that was compiled and not found in the cache.
 
     done  how many
     """
@@ -68,13 +67,9 @@ class Compilations(event.Listener):
         self._report, self._kind, self._expected = report, kind, expected
         self.done = 0
 
-    def on_start(self, event: event.Event) -> None:
-        """Nothing is done yet."""
-
-    def on_end(self, event: event.Event) -> None:
+    def ends(self, function: Callable[..., object]) -> None:
         """One more."""
         self.done += 1
-        function = event.data["dispatcher"].py_func
         name = function.__name__.strip("_") if function.__module__.startswith("raygrid.") else "parts of numba"
         self._report(self.done, max(self._expected, self.done + 1), compiling(name, self._kind))
 
@@ -87,7 +82,7 @@ def told_of(report: Report, kind: str, expected: int) -> Iterator[Compilations]:
     def note(text: str) -> None:
         report(compilations.done, expected, NOTE + text)
 
-    with event.install_listener("numba:compile", compilations), remarks.heard_by(note):
+    with compiling_heard_by(ends=compilations.ends), remarks.heard_by(note):
         yield compilations
 
 
@@ -109,8 +104,8 @@ def warm(report: Report) -> None:
     Raises ArrayError.
     """
     report(0, KERNELS, "loading kernels")
-    find_functions()
     with _helped(), told_of(report, NODES, KERNELS) as compilations:
+        find_functions()
         array = MemoryArray((2, 1, 1))
         half = LATTICE // 2
         space = make_space((2.0**-24, 2.0**-24, 2.0**-24), [[0, half, LATTICE], [0, LATTICE], [0, LATTICE]])

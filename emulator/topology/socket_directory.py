@@ -142,15 +142,14 @@ class SocketDirectory:
 
 def bases() -> list[str]:
     """The directories in which a socket directory may be made, best first."""
-    found = [os.environ.get("XDG_RUNTIME_DIR", ""), os.path.realpath(tempfile.gettempdir()), os.path.realpath("/tmp")]
-    return list(dict.fromkeys(base for base in found if base))
+    found = [os.environ.get("XDG_RUNTIME_DIR", "")]
+    with suppress(FileNotFoundError):  # Python has tried, and found no temporary directory that can be written
+        found.append(os.path.realpath(tempfile.gettempdir()))
+    return list(dict.fromkeys(base for base in (*found, os.path.realpath("/tmp")) if base))
 
 
 def why_not_usable(shape: Index) -> dict[str, str | None]:
-    """Each of `bases`, with what keeps a socket directory for an array of `shape` from being made there; None: nothing.
-
-    Raises FileNotFoundError if there is no temporary directory.
-    """
+    """Each of `bases`, with what keeps a socket directory for an array of `shape` from being made there; None: nothing."""
     return {base: _unusable(base, shape) for base in bases()}
 
 

@@ -9,8 +9,10 @@ from __future__ import annotations
 import contextlib
 import errno
 import importlib
+import operator
 import os
 import platform
+import re
 import shutil
 import sys
 import tempfile
@@ -35,7 +37,7 @@ from raygrid.node.errors import TooLarge
 SMALL = (2, 2, 2)  # the array that `render` launches unless told otherwise
 NEEDED = (  # distributions that raygrid does not run without, by their usual names
     *("numpy", "numba", "llvmlite", "pyzmq", "msgpack", "xxhash", "Pillow", "trimesh", "plyfile", "click"),
-    *("lazy-loader", "rich", "pydantic"),
+    *("rich", "pydantic"),
 )
 IMPORTED = {"numpy": "numpy", "numba": "numba", "zmq": "pyzmq", "msgpack": "msgpack", "xxhash": "xxhash"}  # by nodes
 EXTRAS = {"plots": ("matplotlib",), "law": ("matplotlib", "scipy"), "prometheus": ("prometheus_client",)}
@@ -48,8 +50,6 @@ HELPS = {  # resource -> what helps if there is too little of it
     "memory": "end what takes it, or give the container more",
 }
 VARIABLES = ("XDG_RUNTIME_DIR", "XDG_CACHE_HOME", "XDG_STATE_HOME", "TMPDIR")  # and all of raygrid and numba
-INSTRUCTIONS = {"avx512f": 512, "avx2": 256, "avx": 256}  # of x86, the best first -> bits of a register
-PLAIN_BITS = 128  # of every other processor
 
 
 class FastPath(TypedDict):
@@ -129,6 +129,32 @@ def _version(name: str) -> str | None:
         return None
 
 
+def read_misfits() -> dict[str, str]:
+    """Read which libraries have versions that raygrid was not tried with; returns distribution -> what is wanted."""
+    misfits = {}
+    for wanted in metadata.requires("raygrid") or () if _version("raygrid") else ():
+        found = re.fullmatch(r"([A-Za-z0-9_.-]+)((?:[<>]=?[0-9.]+,?)+)", wanted.replace(" ", ""))
+        version = _version(found[1]) if found else None
+        if found is not None and version is not None and not _fits(version, found[2]):
+            misfits[found[1]] = found[2]
+    return misfits
+
+
+def _fits(version: str, bounds: str) -> bool:
+    """Tell whether a version keeps bounds as of pyproject.toml, such as ">=1.2,<3"."""
+    compare = {">=": operator.ge, "<": operator.lt, "<=": operator.le, ">": operator.gt}
+    pairs = re.findall(r"([<>]=?)([0-9.]+)", bounds)
+    return all(compare[sign](_release(version), _release(bound)) for sign, bound in pairs)
+
+
+def _release(version: str) -> list[int]:
+    """The numbers with which a version begins, without zeros at the end: a pre-release counts as what it comes before."""
+    numbers = [int(number) for number in re.findall(r"\d+", re.match(r"[0-9.]*", version)[0])]  # type: ignore[index]
+    while numbers and numbers[-1] == 0:
+        numbers.pop()
+    return numbers
+
+
 def read_faults() -> dict[str, str]:
     """Import the libraries that nodes need; returns distribution -> why it cannot be imported."""
     faults = {}
@@ -154,12 +180,12 @@ def read_fast_paths() -> dict[str, FastPath]:
     from raygrid.node.links import why_python
 
     with only_looking():
-        from raygrid.node.jit import fast_load
-    asked = "NUMBA_DISABLE_JIT asks for it" if fast_load.config.DISABLE_JIT else None
+        from raygrid.node.jit import fast_load, target
+    asked = target.why_interpreted()
     return {
         "compiled kernels": _path("numba compiles them", asked),
         "native links": _path("compiled code calls ZeroMQ itself", why_python()),
-        "fast kernel loading": _path("without waking the compiler", asked or _why_not_alone()),
+        "fast kernel loading": _path("without waking the compiler", asked or fast_load.why_not_alone()),
         "vectors": _vectors(),
     }
 
@@ -168,41 +194,14 @@ def _path(what: str, why: str | None) -> FastPath:
     return {"on": why is None, "what": what, "why": why}
 
 
-def _why_not_alone() -> str | None:
-    """Why kernels are loaded by numba alone; None if they are not."""
-    from raygrid.node.jit import fast_load
-
-    if fast_load.can_load_alone():
-        return None
-    if fast_load.config.NRT_STATS:
-        return "NUMBA_NRT_STATS asks for it"
-    version = _version("numba")
-    if fast_load.can_seal():
-        return f"numba {version} loads kernels in a way that is not known here"
-    return f"numba {version} keeps kernels in a way that is not known here, so none are kept"
-
-
 def _vectors() -> FastPath:
     """How wide the registers are in which eight rays are worked on at once."""
-    from raygrid.node.jit import fast_load
+    from raygrid.node.jit import SIMD, why_off
+    from raygrid.node.jit.target import read_target
 
-    config = fast_load.config
-    chosen = config.CPU_FEATURES
-    features = fast_load.codegen.get_host_cpu_features() if chosen is None else chosen
-    has = {name[1:] for name in features.split(",") if name.startswith("+")}
-    best = next((name for name in INSTRUCTIONS if name in has), None)
-    bits = INSTRUCTIONS[best] if best else PLAIN_BITS
-    name = config.CPU_NAME or fast_load.binding.get_host_cpu_name()
-    words = f"eight rays at once, in registers of {bits} bits ({', '.join([name, *([best] if best else [])])})"
-    if best:
-        return _path(words, None)
-    if chosen is not None:
-        why = "NUMBA_CPU_NAME or NUMBA_CPU_FEATURES asks for it"
-    elif not config.ENABLE_AVX and platform.machine() in ("x86_64", "i686"):
-        why = "NUMBA_ENABLE_AVX=0, or numba knows this processor to be slow with AVX"
-    else:
-        why = "the processor has no wider ones"
-    return _path(words, why)
+    found = read_target()
+    name = ", ".join(filter(None, (found.name, found.instructions)))
+    return _path(f"eight rays at once, in registers of {found.bits} bits ({name})", why_off(SIMD) or found.why)
 
 
 # --- kernel cache ------------------------------------------------------------------------------------
@@ -233,13 +232,13 @@ def only_looking() -> Iterator[None]:
 def read_cache() -> CacheFacts:
     """Read where kernels are or would be kept, and what is kept there. The libraries that nodes need must be there."""
     with only_looking():
-        from raygrid.node.jit import cache, trusted_files
-    name = f"kernels-{cache._digest()}"
+        from raygrid.node.jit import cache, why_not_trusted
+    name = f"kernels-{cache.digest()}"
     wrong: list[str] = []
-    for base in cache._bases():
+    for base in cache.bases():
         directory = Path(os.path.abspath(base)) / name
         exists = os.path.lexists(directory)
-        why = trusted_files.why_not_trusted(str(directory)) if exists else _why_not_made(directory)
+        why = why_not_trusted(str(directory)) if exists else _why_not_made(directory)
         if why is None:
             writable = not exists or os.access(directory, os.W_OK | os.X_OK, effective_ids=True)
             return _kept(directory, exists, writable, "; ".join(wrong))
@@ -249,19 +248,13 @@ def read_cache() -> CacheFacts:
 
 def _why_not_made(directory: Path) -> str | None:
     """Why a directory that is not there cannot be made, or would not be trusted; None if it can."""
-    from raygrid.node.jit import trusted_files
+    from raygrid.node.jit import why_not_within
 
-    nearest = Path(os.path.realpath(next(path for path in directory.parents if os.path.lexists(path))))
-    try:
-        for path in (nearest, *nearest.parents):
-            why = trusted_files._why_not(os.lstat(path), True)
-            if why is not None:
-                return f"{path} above it is {why}"
-    except OSError as error:
-        return error.strerror or str(error)
-    if not os.access(nearest, os.W_OK | os.X_OK, effective_ids=True):
-        return f"it is not there, and {nearest} cannot be written"
-    return None
+    nearest = os.path.realpath(next(path for path in directory.parents if os.path.lexists(path)))
+    why = why_not_within(nearest)
+    if why is None and not os.access(nearest, os.W_OK | os.X_OK, effective_ids=True):
+        why = f"it is not there, and {nearest} cannot be written"
+    return why
 
 
 def _kept(directory: Path | None, exists: bool, writable: bool, why: str) -> CacheFacts:
@@ -287,14 +280,15 @@ def _kept(directory: Path | None, exists: bool, writable: bool, why: str) -> Cac
 
 def _folders() -> dict[str, str]:
     """Folder of the cache -> kind of the kernels that it holds; a copy of raygrid that lies elsewhere has its own."""
-    from raygrid.node.jit import fast_load
+    from raygrid.node.jit import fast_load, target
 
     if not fast_load.can_seal():  # nothing is kept then
         return {}
-    folder_of = fast_load.caching._CacheLocator.get_suitable_cache_subpath
     layers = [Path(sys.modules[name].__path__[0]) for name in ("raygrid.node", "raygrid.emulator")]
     packages = [package for layer in layers for package in layer.iterdir()]
-    return {folder_of(str(one / "x.py")): KIND_OF_PACKAGE.get(one.name, KINDS[0]) for one in packages if one.is_dir()}
+    return {
+        target.kept_in(str(one / "x.py")): KIND_OF_PACKAGE.get(one.name, KINDS[0]) for one in packages if one.is_dir()
+    }
 
 
 def _size(directory: Path) -> int:
@@ -328,9 +322,7 @@ def read_limits() -> tuple[dict[str, LimitFacts], list[str]]:
 
 def read_places() -> LocationFacts:
     """Read where sockets and temporary files go, and where ffmpeg is."""
-    sockets: dict[str, str | None] = {}
     temporary = None
     with contextlib.suppress(FileNotFoundError):  # Python has tried, and found no directory that can be written
         temporary = tempfile.gettempdir()
-        sockets = why_not_usable(SMALL)
-    return {"sockets": sockets, "temporary": temporary, "ffmpeg": shutil.which("ffmpeg")}
+    return {"sockets": why_not_usable(SMALL), "temporary": temporary, "ffmpeg": shutil.which("ffmpeg")}

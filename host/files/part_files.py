@@ -52,8 +52,9 @@ def replacing(path: str, suffix: str = "", mode: int = 0o666) -> Iterator[tuple[
 
 
 def sweep_folders() -> None:
-    """Remove the temporary directories that dead processes left."""
-    _sweep_once(tempfile.gettempdir(), DIRECTORY_NAME, stat.S_ISDIR)
+    """Remove the temporary directories that dead processes left. Never raises OSError."""
+    with contextlib.suppress(FileNotFoundError):  # there is no temporary directory, and nothing in it
+        _sweep_once(tempfile.gettempdir(), DIRECTORY_NAME, stat.S_ISDIR)
 
 
 class PartFolder:

@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from raygrid.host.text.misuse import OutputMisuse, SceneMisuse
 from raygrid.node.errors import SceneError
@@ -120,8 +120,7 @@ def check_job(outputs: Sequence[str], stats: str | None, frames: Ends | None) ->
     check_patterns(outputs, stats, frames, frames is not None)
 
 
-@dataclass(frozen=True)
-class FrameNames:
+class FrameNames(NamedTuple):
     """The names of the files of a job's frames.
 
     single  patterns of files that each frame has for its own

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from raygrid.emulator.processes import Array
 from raygrid.node.errors import ArrayError, Garbled, LostProcess, ProtocolError, RaygridError, Stuck
@@ -13,8 +13,7 @@ MOST_LOST = 8  # nodes that are named in a fault besides
 RECOVERABLE = (LostProcess, Stuck, Garbled, ProtocolError)
 
 
-@dataclass(frozen=True)
-class FaultReport:
+class FaultReport(NamedTuple):
     """Something that went wrong in an array and was made good.
 
     kind     name of the error's class: LostProcess, Stuck, Garbled, ProtocolError

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict
 from typing import Any
 
 from raygrid.emulator.driver import BUDGET, Progress
@@ -68,7 +67,7 @@ class RenderSession:
                 if self._on_fault is not None:
                     self._on_fault(faults[-1])
                 continue
-            picture.stats["faults"] = [asdict(fault) for fault in faults]
+            picture.stats["faults"] = [fault._asdict() for fault in faults]
             picture.stats["injected"] = self.array.injected
             return picture
 

@@ -4,9 +4,11 @@ from .bvh import FIRST_MASK as FIRST_MASK
 from .bvh import LEAF_BIT as LEAF_BIT
 from .bvh import NODE_WORDS as NODE_WORDS
 from .bvh import build as build
-from .bvh_simd import CHILD_COLUMN as CHILD_COLUMN
-from .bvh_simd import WIDE as WIDE
-from .bvh_simd import push_boxes as push_boxes
+from .bvh_boxes import CHILD_COLUMN as CHILD_COLUMN
+from .bvh_boxes import FAREST as FAREST
+from .bvh_boxes import WIDE as WIDE
+from .bvh_boxes import for_boxes as for_boxes
+from .bvh_boxes import push_boxes as push_boxes
 from .grid_walk import HOST as HOST
 from .grid_walk import OPPOSITE as OPPOSITE
 from .grid_walk import OUTPUTS as OUTPUTS

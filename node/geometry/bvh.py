@@ -22,7 +22,7 @@ The boxes only save work: whatever the hierarchy, the same hits must be found (l
 widened by INFLATE, more than all roundings of the binary32 slab test together can make it err: a box
 edge, an origin and their difference are each off by at most 2^-24 of numbers below 2, the product with
 the rounded inverse by 2^-23 of itself, so the test errs by less than 5e-7 of a position.
-`bvh_simd.LEAVE_LATER` covers the rounding of times.
+`bvh_boxes.LEAVE_LATER` covers the rounding of times.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.node.geometry.bvh_simd import CHILD_COLUMN, WIDE
+from raygrid.node.geometry.bvh_boxes import CHILD_COLUMN, WIDE
 from raygrid.node.jit.decorators import kernel, part
 
 INFLATE = 4e-6  # machine coordinates; a hit that counts lies within SLACK / 4 of its surface's box

@@ -21,7 +21,7 @@ from raygrid.node.geometry.bvh import (
     NODE_WORDS,
     aligned,
 )
-from raygrid.node.geometry.bvh_simd import CHILD_COLUMN, WIDE
+from raygrid.node.geometry.bvh_boxes import CHILD_COLUMN, WIDE
 from raygrid.node.jit.decorators import kernel
 
 WORSE = 1.25  # expected cost, against that of the tree when it was built, from which building anew pays

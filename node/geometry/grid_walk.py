@@ -7,7 +7,10 @@ backwards and all nodes agree on the path; a ray makes at most NX + NY + NZ - 2 
 
 from __future__ import annotations
 
+from raygrid.node.geometry.lattice import CELL
 from raygrid.node.jit.decorators import part
+from raygrid.node.jit.formula import formula
+from raygrid.node.jit.lanes import BIT, F64, I64, LATTICE_POINT, VECTOR, Lanes, Staged, Three, least, most
 
 # ports, in the order -x +x -y +y -z +z, then what is not a neighbour
 PORTS = 6
@@ -21,62 +24,48 @@ OPPOSITE = (1, 0, 3, 2, 5, 4)
 HUGE = 1e18  # stands for 1 / 0: finite, so that 0 * HUGE is 0 and never not-a-number
 
 
-@part
-def inverse(d):
+@formula(takes=(F64,), gives=F64)
+def inverse(d: Lanes) -> Lanes:
     """1 / d, finite for d = 0 (and never larger than HUGE)."""
-    quotient = 1.0 / d
-    return HUGE if abs(d) < 1.0 / HUGE else quotient
+    return (abs(d) < 1.0 / HUGE).choose(HUGE, 1.0 / d)
 
 
-@part
-def towards_start(cell, origin):
+@formula(takes=(CELL, LATTICE_POINT), gives=I64)
+def behind(cell: Staged, origin: Three) -> Lanes:
+    """Mark the ports behind which a lattice point lies, a bit each; 0 for one in the cell."""
+    bits: list[Lanes] = []
+    for axis, at in enumerate(origin):
+        low, high = cell.low[axis].to(at.kind), cell.high[axis].to(at.kind)
+        bits += [(at < low).to(at.kind) << (2 * axis), (at >= high).to(at.kind) << (2 * axis + 1)]
+    return (bits[0] | bits[2] | bits[4]) | (bits[1] | bits[3] | bits[5])
+
+
+@formula(takes=(CELL, LATTICE_POINT), gives=I64)
+def towards_start(cell: Staged, origin: Three) -> Lanes:
     """The port on the way to the cell that holds this lattice origin, x before y before z; NO_PORT: it is here."""
-    if origin[0] < cell.low[0]:
-        return 0
-    if origin[0] >= cell.high[0]:
-        return 1
-    if origin[1] < cell.low[1]:
-        return 2
-    if origin[1] >= cell.high[1]:
-        return 3
-    if origin[2] < cell.low[2]:
-        return 4
-    if origin[2] >= cell.high[2]:
-        return 5
-    return NO_PORT
+    ports: Lanes = behind(cell, origin)
+    return ports.equals(0).choose(NO_PORT, ports.lowest_bit())
 
 
-@part
-def is_walking(cell, origin, port):
+@formula(takes=(CELL, LATTICE_POINT, I64), gives=BIT)
+def is_walking(cell: Staged, origin: Three, port: Lanes) -> Lanes:
     """Tell whether a ray that came in by `port` has left the cell of its origin behind on that axis.
 
     If its hop brought it nearer to that cell instead, it is still on its way to its start.
     """
-    if port == SELF:
-        return False
-    if port == 0:  # came from the neighbour at -x, so it moved along +x
-        return origin[0] < cell.low[0]
-    if port == 1:
-        return origin[0] >= cell.high[0]
-    if port == 2:
-        return origin[1] < cell.low[1]
-    if port == 3:
-        return origin[1] >= cell.high[1]
-    if port == 4:
-        return origin[2] < cell.low[2]
-    return origin[2] >= cell.high[2]
+    ports: Lanes = behind(cell, origin)
+    return ports >> port & 1 >= 1
 
 
-@part
-def _axis_times(at, inv, low_at, high_at):
-    """(time of entry, time of exit) of one axis; entry is not above 0 if the origin lies between the planes, or where
-    the ray goes away from them."""
-    low, high = (low_at - at) * inv, (high_at - at) * inv
-    return min(low, high), max(low, high)
+@formula(takes=(CELL, LATTICE_POINT, I64), gives=BIT)
+def is_before_start(cell: Staged, origin: Three, port: Lanes) -> Lanes:
+    """Tell whether a ray that came in by `port` has to go to the cell of its origin first."""
+    ports: Lanes = behind(cell, origin)
+    return (ports >= 1).lacks(is_walking(cell, origin, port))
 
 
-@part
-def passage(cell, at, inv):
+@formula(takes=(CELL, VECTOR, VECTOR), gives=(F64, F64, I64))
+def passage(cell: Staged, at: Three, inv: Three) -> tuple[Lanes, Lanes, Lanes]:
     """(t_in, t_out, exit port) of a walking ray.
 
     at  its origin, inv  its inverse direction.
@@ -85,13 +74,14 @@ def passage(cell, at, inv):
 
     There are no branches: which way a ray goes can hardly be foreseen, and a processor that guessed wrong begins again.
     """
-    in_x, out_x = _axis_times(at[0], inv[0], cell.low_at[0], cell.high_at[0])
-    in_y, out_y = _axis_times(at[1], inv[1], cell.low_at[1], cell.high_at[1])
-    in_z, out_z = _axis_times(at[2], inv[2], cell.low_at[2], cell.high_at[2])
-    out_yz = min(out_y, out_z)
-    x, y, z = 1 if inv[0] >= 0.0 else 0, 3 if inv[1] >= 0.0 else 2, 5 if inv[2] >= 0.0 else 4
-    yz = y if out_y <= out_z else z
-    return max(in_x, max(in_y, in_z)), min(out_x, out_yz), x if out_x <= out_yz else yz
+    times = [
+        ((cell.low_at[axis] - at[axis]) * inv[axis], (cell.high_at[axis] - at[axis]) * inv[axis]) for axis in range(3)
+    ]
+    (in_x, in_y, in_z), (out_x, out_y, out_z) = ([of(*pair) for pair in times] for of in (least, most))
+    out_yz = least(out_y, out_z)
+    x, y, z = ((inv[axis] >= 0.0).to(I64) + 2 * axis for axis in range(3))
+    way = (out_x <= out_yz).choose(x, (out_y <= out_z).choose(y, z))
+    return most(in_x, most(in_y, in_z)), least(out_x, out_yz), way
 
 
 @part
@@ -103,10 +93,10 @@ def leaves_array(index, shape, port):
     return index[axis] == 0
 
 
-@part
-def towards_cell(index, target):
+@formula(takes=(LATTICE_POINT, LATTICE_POINT), gives=I64)
+def towards_cell(index: Three, target: Three) -> Lanes:
     """The port on the way to another cell, x before y before z; NO_PORT: it is this one. Without a branch."""
-    x, y, z = 0 if target[0] < index[0] else 1, 2 if target[1] < index[1] else 3, 4 if target[2] < index[2] else 5
-    port = z if target[2] != index[2] else NO_PORT
-    port = y if target[1] != index[1] else port
-    return x if target[0] != index[0] else port
+    port = index[0].every(NO_PORT)
+    for axis in (2, 1, 0):
+        port = target[axis].equals(index[axis]).choose(port, (target[axis] >= index[axis]).to(I64) + 2 * axis)
+    return port

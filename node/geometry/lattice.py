@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from raygrid.node.errors import SceneError
 from raygrid.node.geometry.surfaces import STORED_AS, AddedKind, Batch, Kind, SurfaceSet
 from raygrid.node.jit.decorators import part
+from raygrid.node.jit.formula import formula
+from raygrid.node.jit.lanes import F64, I32, I64, LATTICE_POINT, VECTOR, Lanes, Three, dot, most, within
 
 LATTICE = 1 << 24  # steps an axis
 HALF = LATTICE // 2
@@ -30,9 +32,7 @@ GENTLE = 0.125  # sine of the angle to a surface below which a secondary ray is 
 SLOW = 0.25  # a ray is slow on an axis if its unit direction has less than this there; on one it never is
 SLACK = 2.0**-17  # a cell retains what comes this near to it; see `node.geometry.overlap`
 WIDEN = 2.0**-10  # the world box is this part of its longest edge wider than the surfaces, on each side
-MOST_TRIES = 16
-FINE = 2.0**92  # squares of parts of a step, below 2^-45, become integers below 2^47
-LARGEST_INTEGER = 2**63 - 1
+FINE = 2.0**92  # squares of parts of a step, below 2^-45, become whole numbers below 2^47
 THINNEST_CELL = 64  # lattice steps
 
 
@@ -59,58 +59,63 @@ class Cell(NamedTuple):
     high_at: tuple[float, float, float]
 
 
-@part
-def coordinate(k, step):
+CELL = Cell(*(LATTICE_POINT,) * 3, *(VECTOR,) * 2)  # type: ignore[arg-type]  # as formulas take it
+
+
+@formula(takes=(I64, F64), gives=F64)
+def coordinate(k: Lanes, step: Lanes) -> Lanes:
     """The number that a lattice coordinate stands for."""
-    return (k - HALF) * step
+    return (k - HALF).to(F64) * step
 
 
-@part
-def nearest(x, step):
-    """The lattice coordinate nearest to a number, inside the world box."""
-    k = math.floor(x / step + 0.5) + HALF
-    return np.int64(min(k if k > 0.0 else 0.0, LATTICE - 1.0))  # what is no number lies at 0, too
+@formula(takes=(F64, F64), gives=I64)
+def nearest(x: Lanes, step: Lanes) -> Lanes:
+    """The lattice coordinate nearest to a number, inside the world box; what is no number lies at 0, too."""
+    return within(math.floor(x / step + 0.5) + float(HALF), 0.0, LATTICE - 1.0).to(I32)
 
 
-@part
-def _worth(speed, step):
-    """Worth of an axis' coordinate on the lattice: the more, the coarser its lattice, if the ray is not slow on it."""
-    return abs(speed) * step if abs(speed) >= SLOW else 0.0
+def next_on_lattice(places: Three, speeds: Three, d: Three, step: Three) -> tuple[Lanes, Lanes]:
+    """(t, speed in steps) at which a ray next has a coordinate on the lattice, of the axis that is worth most there.
+
+    places, speeds  its origin and direction in steps
+    A coordinate is worth the more, the coarser its lattice, if the ray is not slow on its axis.
+    """
+    worth = [(abs(d[axis]) >= SLOW).choose(abs(d[axis]) * step[axis], 0.0) for axis in range(3)]
+    by_x, by_y = worth[0] >= most(worth[1], worth[2]), worth[1] >= worth[2]
+    place, speed = (by_x.choose(of[0], by_y.choose(of[1], of[2])) for of in (places, speeds))
+    return ((speed > 0.0).choose(math.ceil(place), math.floor(place)) - place) * (1.0 / speed), speed
 
 
-@part
-def beside_ray(step, p, d, tries):
+def beside_ray(step: Three, p: Three, d: Three, tries: int) -> list[Lanes]:
     """The lattice coordinates of a point beside the ray that starts at p in direction d, at p or a little further on.
 
     Rounding p would put the ray up to 0.87 steps aside, but a step along itself changes nothing of what it sees. So of
-    the next `tries` points (at most MOST_TRIES) at which one coordinate lies on the lattice, the one is taken whose
-    others miss it least. This is the definition; `node.tracing.spawn` and `node.tracing.primary_rays` work it out for
-    eight rays at once.
+    the next `tries` points at which one coordinate lies on the lattice, the one is taken whose others miss it least.
     """
-    x, y, z = p[0] / step[0], p[1] / step[1], p[2] / step[2]
-    u, v, w = d[0] / step[0], d[1] / step[1], d[2] / step[2]
-    of_x, of_y, of_z = _worth(d[0], step[0]), _worth(d[1], step[1]), _worth(d[2], step[2])
-    place, speed = (x, u) if of_x >= max(of_y, of_z) else ((y, v) if of_y >= of_z else (z, w))
-    inverse = 1.0 / speed
-    first = ((math.ceil(place) if speed > 0.0 else math.floor(place)) - place) * inverse
-    stride = max(1.0, math.floor(LONGEST_STEP * abs(speed))) * abs(inverse)
-    # the number of the point is kept in the low bits of what is compared: so the loop runs on vectors
-    best = np.int64(LARGEST_INTEGER)
+    places, speeds = ([of[axis] / step[axis] for axis in range(3)] for of in (p, d))
+    t, speed = next_on_lattice(places, speeds, d, step)
+    if tries > 1:
+        t = _nearest_of_next(t, places, speeds, d, step, tries, speed)
+    return [nearest(p[axis] + t * d[axis], step[axis]) for axis in range(3)]
+
+
+def _nearest_of_next(
+    first: Lanes, places: Three, speeds: Three, d: Three, step: Three, tries: int, speed: Lanes
+) -> Lanes:
+    """The time of that of the next points on the lattice, from time `first` on, which misses the lattice least."""
+    stride = most(speed.every(1.0), math.floor(abs(speed) * LONGEST_STEP)) * abs(1.0 / speed)
+    least_aside, t = first.every(float("inf")), first
     for k in range(tries):
-        t = first + k * stride
-        a, b, c = x + t * u, y + t * v, z + t * w
-        a = (a - math.floor(a + 0.5)) * step[0]
-        b = (b - math.floor(b + 0.5)) * step[1]
-        c = (c - math.floor(c + 0.5)) * step[2]
-        along = a * d[0] + b * d[1] + c * d[2]
-        aside = a * a + b * b + c * c - along * along
-        best = min(best, np.int64(aside * FINE) * MOST_TRIES + k)
-    t = first + (best & (MOST_TRIES - 1)) * stride
-    return (
-        nearest(p[0] + t * d[0], step[0]),
-        nearest(p[1] + t * d[1], step[1]),
-        nearest(p[2] + t * d[2], step[2]),
-    )
+        after = first + stride * float(k)
+        rests = []
+        for axis in range(3):
+            at = places[axis] + after * speeds[axis]
+            rests.append((at - math.floor(at + 0.5)) * step[axis])
+        along = dot(rests, d)
+        aside = math.trunc((dot(rests, rests) - along * along) * FINE)
+        better = aside < least_aside
+        least_aside, t = better.choose(aside, least_aside), better.choose(after, t)
+    return t
 
 
 @part

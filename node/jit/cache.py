@@ -9,7 +9,7 @@ made, or in which anybody else could lay files (`node.jit.trusted_files`), is no
 place instead. One that can be read and not written is used for what it holds.
 
 Files are believed only if they are whole: each begins with a digest of the rest (`read_sealed`), is written beside its
-place, brought to the disk and then renamed (`write_sealed`). Whatever cannot be loaded is as if it were not there.
+place, brought to the disk and then renamed (`write_whole`). Whatever cannot be loaded is as if it were not there.
 """
 
 from __future__ import annotations
@@ -26,9 +26,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import llvmlite
+import numba
 from numba.core import config as _config
 from xxhash import xxh3_128_digest
 
+from raygrid.node.jit.switches import code_state
 from raygrid.node.jit.trusted_files import why_not_file, why_not_trusted
 from raygrid.node.remarks import remark
 
@@ -55,16 +58,18 @@ class Keeping(NamedTuple):
     why: str
 
 
-def _digest() -> str:
-    """Digest of the sources of a processor, of all its packages, and of the settings of numba that change what is compiled."""
+def digest() -> str:
+    """Digest of the sources of a processor, of all its packages, and of what compiles them: numba, llvmlite, and the settings,
+    theirs and ours, that change what is compiled."""
     state = hashlib.sha256()
     for source in sorted(_SOURCES.rglob("*.py")):
         state.update(str(source.relative_to(_SOURCES)).encode() + b"\0" + source.read_bytes())
-    state.update(repr([getattr(config, name, None) for name in _SETTINGS]).encode())
+    libraries = [numba.__version__, llvmlite.__version__]
+    state.update(repr([*libraries, *(getattr(config, name, None) for name in _SETTINGS), *code_state()]).encode())
     return state.hexdigest()[:16]
 
 
-def _bases() -> Iterator[Path]:
+def bases() -> Iterator[Path]:
     """Bases in which the directory may be, best first."""
     named = [os.environ[name] for name in ("RAYGRID_CACHE", "NUMBA_CACHE_DIR") if os.environ.get(name)]
     if named:
@@ -98,8 +103,8 @@ def make_private(directory: Path) -> None:
 def _keeping() -> Keeping:
     """The first place that can be used; it is made if need be."""
     wrong = []
-    name = f"kernels-{_digest()}"
-    for base in _bases():
+    name = f"kernels-{digest()}"
+    for base in bases():
         directory = Path(os.path.abspath(base)) / name
         try:
             fresh = not directory.is_dir()
@@ -170,13 +175,17 @@ def _damage(data: bytes) -> str | None:
 
 
 def write_sealed(path: str, data: bytes) -> None:
+    """Write what `read_sealed` reads. Raises OSError."""
+    write_whole(path, SEAL, xxh3_128_digest(data), data)
+
+
+def write_whole(path: str, *parts: bytes) -> None:
     """Put a file in its place, whole: it is on the disk before it has its name. Raises OSError."""
     part = f"{path}.tmp.{secrets.token_hex(8)}"
     descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
     try:
         with open(descriptor, "wb") as file:
-            file.write(SEAL + xxh3_128_digest(data))
-            file.write(data)
+            file.writelines(parts)
             file.flush()
             os.fsync(descriptor)
         os.replace(part, path)

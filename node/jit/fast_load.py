@@ -11,7 +11,8 @@ that calls it, and the environments of what was inlined into it, for which half 
 the machine code uses them (it never did).
 
 numba documents none of this. So every name that is used here is looked for first, and what numba's own functions call is
-compared with what is known; where anything differs, kernels are cached by numba alone.
+compared with what is known; where anything differs, kernels are cached by numba alone. With RAYGRID_FAST_LOAD=0 they are, too,
+from the same files.
 
 A cache looks for its directory when it is first used, not when its function is decorated: nine of ten functions are only
 parts of kernels, and are never loaded.
@@ -50,6 +51,7 @@ from raygrid.node.jit.cache import (
     say_where,
     write_sealed,
 )
+from raygrid.node.jit.switches import FAST_LOAD, why_off
 from raygrid.node.jit.trusted_files import why_not_trusted
 from raygrid.node.remarks import remark
 
@@ -156,6 +158,17 @@ def can_seal() -> bool:
     ) and hasattr(caching.CacheImpl, "_locator_classes")
 
 
+def why_not_alone() -> str | None:
+    """Say why kernels are loaded by numba's own means; None if they are loaded without its compiler."""
+    if config.NRT_STATS:
+        return "NUMBA_NRT_STATS asks for it"
+    if not can_seal():
+        return f"numba {numba.__version__} keeps kernels in a way that is not known here, so none are kept"
+    if not can_load_alone():
+        return f"numba {numba.__version__} loads kernels in a way that is not known here"
+    return why_off(FAST_LOAD)
+
+
 _why_not_trusted = functools.cache(why_not_trusted)  # many functions share a directory
 
 
@@ -260,6 +273,17 @@ if can_seal() and can_load_alone():
             result = caching.compiler.CompileResult._rebuild(lender, kept[0], *rest)
             return result._replace(target_context=target_context)
 
+    class _PayloadByNumba(_Payload):
+        """The same files, loaded as numba loads its own."""
+
+        def rebuild(self, target_context: Any, payload: Any) -> Any:
+            return _OwnPayload.rebuild(self, target_context, payload[1])
+
+    class _ByNumba(_Own):
+        """numba's cache of a function, over files that can also be loaded without its compiler."""
+
+        _impl_class = _PayloadByNumba
+
     class _Alone(_Own):
         """numba's cache of a function, that looks first."""
 
@@ -305,6 +329,13 @@ class _Lender:
         return self._library
 
 
+def _cache_kind() -> Any:
+    """The class of caches that this process uses."""
+    if not can_load_alone():
+        return _Own
+    return _Alone if why_off(FAST_LOAD) is None else _ByNumba
+
+
 class LazyCache:
     """The cache of a function, in a directory as of `node.jit.cache`; what numba asks of a cache, handed on to one."""
 
@@ -317,7 +348,7 @@ class LazyCache:
             return caching.NullCache()
         with in_directory(self._directory):
             try:
-                return (_Alone if can_load_alone() else _Own)(self._function)
+                return _cache_kind()(self._function)
             except RuntimeError:  # this function's own directory cannot be used: compiled anew in each process
                 return caching.NullCache()
 

@@ -22,6 +22,7 @@ from numba.core import config as _config
 from numba.extending import intrinsic
 
 from raygrid.node.jit.decorators import Function
+from raygrid.node.jit.intrinsics import FunctionAt
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -88,9 +89,9 @@ def _call_at(typingctx: TypingContext, address: Type, arguments: Any) -> Typed:
         ):
             convention.return_user_exc(builder, TypeError, (OTHER_TYPES,))
         function = convention.get_function_type(types.int64, kinds)
-        pointer = builder.inttoptr(builder.extract_value(there, 0), function.as_pointer())
+        kernel = FunctionAt(builder.inttoptr(builder.extract_value(there, 0), ir.PointerType()), function)
         values = cgutils.unpack_tuple(builder, packed)
-        status, result = convention.call_function(builder, pointer, types.int64, kinds, values)
+        status, result = convention.call_function(builder, kernel, types.int64, kinds, values)
         with cgutils.if_unlikely(builder, status.is_error):
             convention.return_status_propagate(builder, status)
         return result

@@ -8,10 +8,13 @@ from __future__ import annotations
 
 import ctypes
 import inspect
-from typing import ClassVar, Self, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
+from numba.core import config as _config
 from numpy.typing import NDArray
+
+config: Any = _config  # its names are made at run time
 
 Rows = NDArray[np.void]  # records as compiled code takes them: `rows[k].field`
 
@@ -27,7 +30,8 @@ class Record(ctypes.Structure):
     @classmethod
     def rows(cls, count: int = 1) -> Rows:
         """Records for compiled code, (count,), all fields zero."""
-        return np.zeros(count, cls.dtype)
+        rows = np.zeros(count, cls.dtype)
+        return rows.view(np.recarray) if config.DISABLE_JIT else rows  # which has fields as attributes in Python, too
 
     @classmethod
     def view(cls, rows: Rows, row: int = 0) -> Self:

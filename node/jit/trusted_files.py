@@ -12,20 +12,26 @@ import os
 import pwd
 import stat
 from functools import cache
+from pathlib import Path
 
 
 def why_not_trusted(path: str) -> str | None:
     """Say why the files in a directory, whose own name is no link, may be another user's; None if they cannot."""
-    real = os.path.join(os.path.realpath(os.path.dirname(path)), os.path.basename(path))
+    above = os.path.realpath(os.path.dirname(path))
     try:
-        why = _why_not(os.lstat(real), False)
-        if why is not None:
-            return why
-        while real != "/":
-            real = os.path.dirname(real)
-            why = _why_not(os.lstat(real), True)
+        why = _why_not(os.lstat(os.path.join(above, os.path.basename(path))), False)
+    except OSError as error:
+        return error.strerror or str(error)
+    return why_not_within(above) if why is None else why
+
+
+def why_not_within(path: str) -> str | None:
+    """Say why others may put another in place of what lies in a directory, whose path has no links; None if they cannot."""
+    try:
+        for above in (path, *map(str, Path(path).parents)):
+            why = _why_not(os.lstat(above), True)
             if why is not None:
-                return f"{real} above it is {why}"
+                return f"{above} above it is {why}"
     except OSError as error:
         return error.strerror or str(error)
     return None

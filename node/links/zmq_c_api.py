@@ -2,7 +2,7 @@
 
 An address is a number handed in when a kernel is called, so that compiled code stays good for other processes and
 can be kept on disk. Who has no such functions (another build of pyzmq or xxhash) gets no addresses, and the links are
-served by Python alone: slower, and the same in all else. With RAYGRID_LINKS=python in the environment nobody has any.
+served by Python alone: slower, and the same in all else. With RAYGRID_NATIVE_LINKS=0 in the environment nobody has any.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 import zmq
 
 from raygrid.node.jit.records import Record, Rows, record
+from raygrid.node.jit.switches import NATIVE_LINKS, why_off
 
 MESSAGE_WORDS = 8  # of a zmq_msg_t, which has 64 bytes and wants to begin at a multiple of 8
 
@@ -35,7 +36,7 @@ _FROM_ZEROMQ = {
 # the first also looks which instructions the processor has, where it can (x86)
 _CHECKSUMS = ("XXH3_64bits_withSeed_dispatch", "XXH3_64bits_withSeed")
 _SLEEP, _CLOCK = "usleep", "clock_gettime"
-SWITCH, BY_PYTHON = "RAYGRID_LINKS", "python"
+OLD_SWITCH, BY_PYTHON = "RAYGRID_LINKS", "python"  # what RAYGRID_NATIVE_LINKS=0 was called at first
 # a zmq_pollitem_t: address of a socket (0: none), else a descriptor; events that are wanted and that were found
 POLL_ITEM = np.dtype([("socket", "i8"), ("descriptor", "i4"), ("wanted", "i2"), ("found", "i2")])
 
@@ -80,6 +81,12 @@ def find_functions() -> CFunctions | None:
     return _look_for_functions()[0]
 
 
+def find_clock() -> int:
+    """The address of `clock_gettime`, 0 if the C library has none."""
+    library = ctypes.CDLL(None)
+    return _address_of(library, _CLOCK) if hasattr(library, _CLOCK) else 0
+
+
 def why_python() -> str | None:
     """Why Python alone serves the links; None where compiled code does."""
     return _look_for_functions()[1]
@@ -89,8 +96,11 @@ def why_python() -> str | None:
 def _look_for_functions() -> tuple[CFunctions | None, str | None]:
     """The addresses, or why there are none."""
     found = CFunctions()
-    if os.environ.get(SWITCH) == BY_PYTHON:
-        return None, f"{SWITCH}={BY_PYTHON} asks for it"
+    off = why_off(NATIVE_LINKS)
+    if off is None and os.environ.get(OLD_SWITCH) == BY_PYTHON:
+        off = f"{OLD_SWITCH}={BY_PYTHON} asks for it"
+    if off is not None:
+        return None, off
     if sys.byteorder != "little":  # of `poll_items`
         return None, "numbers begin with their highest byte on this computer"
     try:

@@ -22,8 +22,6 @@ import ast
 import contextlib
 import fcntl
 import hashlib
-import os
-import secrets
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -35,9 +33,6 @@ import numpy as np
 from raygrid.node.errors import ProtocolError
 from raygrid.node.jit import cache
 from raygrid.node.jit.decorators import part
-from raygrid.node.programs.hooks import parts_of
-from raygrid.node.tracing.background import make_add_missed
-from raygrid.node.tracing.step import make_step
 
 HOOKS: dict[str, tuple[str, ...]] = {
     "surface_hits": ("origin", "direction", "numbers"),
@@ -186,9 +181,7 @@ def _directory(program: Program) -> Iterator[Path]:
                 f"the program {program.name} cannot be compiled: {place} cannot be written; {cache.REMEDY}"
             )
         if not file.exists():
-            written = place / f".{secrets.token_hex(6)}"
-            written.write_text(program.source)
-            os.replace(written, file)
+            cache.write_whole(str(file), program.source.encode())
         with open(place / "lock", "wb") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             yield file
@@ -197,6 +190,11 @@ def _directory(program: Program) -> Iterator[Path]:
 
 def _linked(program: Program, file: Path) -> Compiled:
     """Run the text of a program, and make a ray step with its functions in it. Nothing is compiled yet."""
+    # a front end knows programs, and traces no ray
+    from raygrid.node.programs.hooks import parts_of
+    from raygrid.node.tracing.background import make_add_missed
+    from raygrid.node.tracing.step import make_step
+
     module = ModuleType(f"raygrid_program_{program.digest[:16]}")
     sys.modules[module.__name__] = module  # numba imports it by this name when it takes a function from the cache
     own = module.__dict__

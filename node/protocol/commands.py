@@ -6,9 +6,8 @@ A command travels as a map, of which `do` is its name. Tables travel as the byte
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, ClassVar, TypeGuard
+from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
 
@@ -47,8 +46,7 @@ class CommandName(StrEnum):
     END = "end"  # say BYE on every link; at once
 
 
-@dataclass(frozen=True)
-class TraceCommand:
+class TraceCommand(NamedTuple):
     """Spawn primaries, and how eagerly to trace and send meanwhile.
 
     quota            primaries that a node may spawn before it hears from the driver again
@@ -58,8 +56,6 @@ class TraceCommand:
     flush            packets for which an output is sent
     """
 
-    do: ClassVar[CommandName] = CommandName.TRACE
-
     quota: int
     hold: float = 0.0
     batch_threshold: int = 0
@@ -68,7 +64,7 @@ class TraceCommand:
 
     def as_map(self) -> dict[str, Any]:
         """Give the map that travels where it cannot be a reduction (`node.runtime.reduction`)."""
-        return {"do": str(self.do)} | vars(self)
+        return {"do": str(CommandName.TRACE)} | self._asdict()
 
 
 def read_trace(order: CommandMap) -> TraceCommand:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 from raygrid.node.errors import ProtocolError
 from raygrid.node.geometry.grid_walk import HOST
@@ -13,8 +13,7 @@ LAST_EPOCH = 0xFFFF  # the epoch of a message header is a u16
 LONGEST_NAME = 200  # characters of an endpoint or of the machine's name
 
 
-@dataclass(frozen=True)
-class LinkConfig:
+class LinkConfig(NamedTuple):
     """A link of a node: its port, the name of its socket, and whether this end makes that."""
 
     port: int

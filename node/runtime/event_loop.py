@@ -28,17 +28,7 @@ from raygrid.node.protocol.messages import (
     MessageKind,
 )
 from raygrid.node.protocol.packets import SIZE, read_u16, read_u32
-from raygrid.node.runtime.native_links import (
-    LINKS,
-    MONOTONIC,
-    OF_THREAD,
-    RECEIVING,
-    SENDING,
-    TRACING,
-    checksum,
-    clock,
-    post,
-)
+from raygrid.node.runtime.native_links import LINKS, checksum, clock, post
 from raygrid.node.runtime.reduction import (
     REPLY_BYTES,
     REQUEST_BYTES,
@@ -53,6 +43,7 @@ from raygrid.node.runtime.reduction import (
     read_field,
     waits_for_node_part,
 )
+from raygrid.node.runtime.timers import NO_PLACE, RECEIVING, SENDING, TRACING, count_time
 from raygrid.node.tracing.batch import BATCH_CROWDED, BATCH_FULL, BATCH_IDLE, BATCH_LONG, run_batch
 from raygrid.node.tracing.primaries import DONE
 from raygrid.node.tracing.work_queues import IN_TRANSIT, RAYS, SHADOWS, sort
@@ -203,7 +194,7 @@ def _take_reduction(native, port, raw):
     """Take in a message of a reduction."""
     reduction, state = native.reduction, native.reduction.state[0]
     if np.int64(raw[0]) == _REDUCE:
-        begin_part(state, reduction.request[0], reduction.sums, clock(native, MONOTONIC))
+        begin_part(state, reduction.request[0], reduction.sums, clock(native))
         return
     for k in range(SUMS):
         reduction.sums[k] += read_field(raw, 1 + k)
@@ -236,7 +227,7 @@ def _reply(node, idle, quota):
     native, reduction, state = node.native, node.native.reduction, node.native.reduction.state[0]
     if state.compiled_serves == 0 or not waits_for_node_part(state):
         return False
-    if not (idle and state.python_busy == 0) and clock(native, MONOTONIC) < state.deadline:
+    if not (idle and state.python_busy == 0) and clock(native) < state.deadline:
         return False
     for k in range(SUMS):
         reduction.total[k] = reduction.sums[k] + reduction.known[k]
@@ -270,17 +261,6 @@ def _serve_reduction(reduction, quota, tuning):
 
 
 @part
-def _count_time(native, place, since):
-    """Count the nanoseconds of this thread since then for a place in `spent`; now. Nothing unless the loop is timed."""
-    if native.timed == 0:
-        return since
-    now = clock(native, OF_THREAD)
-    if place >= 0:
-        native.spent[place] += now - since
-    return now
-
-
-@part
 def _receive_all(native, bounds, stacks, held):
     """Take in what has come over all links; -1, or the port of a link with a message for Python."""
     for port in range(LINKS):
@@ -310,8 +290,8 @@ def run_loop(node, quota):
     quota  primaries that may be spawned
     Without native links it is one batch.
     """
-    native, tuning, held, outputs = node.native, node.tuning[0], node.held, node.step.outputs
-    served, back_offs, since, serves = 0, BACK_OFFS, _count_time(native, -1, 0), False
+    native, timers, tuning, held, outputs = node.native, node.timers, node.tuning[0], node.held, node.step.outputs
+    served, back_offs, since, serves = 0, BACK_OFFS, count_time(timers, NO_PLACE, np.int64(0)), False
     for port in range(LINKS):
         serves = serves or native.links[port].regular != 0
     while True:
@@ -319,7 +299,7 @@ def run_loop(node, quota):
         if native.reduction.state[0].fresh != 0:
             quota = _serve_reduction(native.reduction, quota, tuning)
         notified = _notify_children(native)
-        since = _count_time(native, RECEIVING, since)
+        since = count_time(timers, RECEIVING, since)
         if odd >= 0:
             return quota, PYTHON_RECEIVES + odd
         if not notified:
@@ -330,7 +310,7 @@ def run_loop(node, quota):
             if waiting == 0 or backs_off:
                 needed = _send_all(native, outputs, BACK_OFF_FLUSH if backs_off else 1, True, tuning.message_packets)
                 needed = needed or _reply(node, not backs_off, quota)
-                since = _count_time(native, SENDING, since)
+                since = count_time(timers, SENDING, since)
                 if needed:
                     return quota, PYTHON_SENDS
                 if backs_off:
@@ -342,12 +322,12 @@ def run_loop(node, quota):
                 continue
         back_offs = BACK_OFFS
         quota, why, done = run_batch(node.step, node.ray_step, node.cursor, quota, tuning, node.stacks, held)
-        since = _count_time(native, TRACING, since)
+        since = count_time(timers, TRACING, since)
         if not serves or why == BATCH_CROWDED:
             return quota, why
         needed = _send_all(native, outputs, tuning.flush, why == BATCH_FULL, tuning.message_packets)
         needed = needed or _reply(node, False, quota)
-        since = _count_time(native, SENDING, since)
+        since = count_time(timers, SENDING, since)
         served += max(done, LEAST_PASS)
         if needed or served >= tuning.loop_packets:
             return quota, PYTHON_SENDS if needed else BATCH_LONG

@@ -26,11 +26,10 @@ class NativeLinkTable:
         pairs: Mapping[int, ZmqChannel],
         reduction: Reduction,
         others: Iterable[int] = (),
-        timed: bool = False,
     ) -> None:
         """Share the state of the links whose channels are these pairs.
 
-        reduction  of the node; others  descriptors for which a node waits as well; timed  let the event loop count its time
+        reduction  of the node; others  descriptors for which a node waits as well
         """
         self.native = no_native_links(reduction)
         self._reduction = ReductionState.view(reduction.state)
@@ -52,7 +51,7 @@ class NativeLinkTable:
         items = zmq_c_api.poll_items([int(pair.socket.underlying) for pair in pairs.values()], others)
         ports = [port if port in self._links else -1 for port in pairs]
         self.native = self.native._replace(
-            items=items, ports=np.array(ports + [-1] * (len(items) - len(ports)), np.int64), timed=int(timed)
+            items=items, ports=np.array(ports + [-1] * (len(items) - len(ports)), np.int64)
         )
 
     def begin(self, reductions: bool, busy: bool) -> None:

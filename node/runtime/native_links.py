@@ -23,11 +23,9 @@ from raygrid.node.links.zmq_channel import NOBLOCK
 from raygrid.node.protocol.messages import COUNT_AT, CREDIT_AT, EPOCH_AT, HEAD, SEQUENCE_AT, SUMMED
 from raygrid.node.protocol.packets import write
 from raygrid.node.runtime.reduction import Reduction, make_reduction
+from raygrid.node.runtime.timers import MONOTONIC, read_clock
 
 LINKS = PORTS + 1  # to neighbours and, of a corner, to the host
-RECEIVING, TRACING, SENDING = 0, 1, 2  # places in NativeLinks.spent: parts of the event loop
-MONOTONIC, OF_THREAD = 1, 3  # clocks of `clock_gettime`
-BILLION = 1_000_000_000
 
 
 class NativeLinks(NamedTuple):
@@ -39,8 +37,6 @@ class NativeLinks(NamedTuple):
     ports      int64 (n,): the ports of these, -1 for what Python looks after
     header     uint8 (HEAD,): room for a header
     reduction  the reduction that is under way
-    timed      1: the loop counts what it spends, else 0
-    spent      int64 (3,): nanoseconds of receiving, tracing and sending
     timespec   int64 (2,): room for what a clock says, seconds and nanoseconds
     """
 
@@ -50,8 +46,6 @@ class NativeLinks(NamedTuple):
     ports: NDArray[np.int64]
     header: NDArray[np.uint8]
     reduction: Reduction
-    timed: int
-    spent: NDArray[np.int64]
     timespec: NDArray[np.int64]
 
 
@@ -64,17 +58,14 @@ def no_native_links(reduction: Reduction | None = None) -> NativeLinks:
         np.zeros(0, np.int64),
         np.zeros(HEAD, np.uint8),
         make_reduction() if reduction is None else reduction,
-        0,
-        np.zeros(3, np.int64),
         np.zeros(2, np.int64),
     )
 
 
 @part
-def clock(native, which):
-    """Nanoseconds by one of the clocks of `clock_gettime`."""
-    call_int(native.functions[0].clock, (np.int64(which), address(native.timespec, np.int64(0))))
-    return native.timespec[0] * BILLION + native.timespec[1]
+def clock(native):
+    """Nanoseconds by the clock that Python calls `time.monotonic`."""
+    return read_clock(native.functions[0].clock, MONOTONIC, native.timespec)
 
 
 @part

@@ -25,6 +25,7 @@ from raygrid.node.runtime.event_loop import LOOP_PACKETS, run_loop
 from raygrid.node.runtime.increments import Increments
 from raygrid.node.runtime.native_links import no_native_links
 from raygrid.node.runtime.node_tables import NodeTables, Tuning
+from raygrid.node.runtime.timers import make_timers
 from raygrid.node.tracing.batch import ADMIT_AT_ONCE, ADMIT_BELOW, BATCH_CROWDED, BATCH_IDLE, BATCH_RAYS, PORTION
 from raygrid.node.tracing.framebuffer import Pixels, make_pixels, send_pixels
 from raygrid.node.tracing.local_geometry import build_surfaces, empty_surfaces, refit_surfaces
@@ -61,7 +62,7 @@ class NodeState:
         self.ready: Compiled | None = None  # a program that is to be used next
         self.run_loop = run_loop
         self._ray_step: tuple[tuple[object, ...], Address] | None = None  # what it was compiled for, and where it is
-        self.native = no_native_links()
+        self.native, self.timers = no_native_links(), make_timers(False)
         self._tuning = Tuning.rows()
         self.tuning = Tuning.view(self._tuning)
         self.tuning.batch_packets, self.tuning.loop_packets = BATCH_RAYS, LOOP_PACKETS
@@ -194,14 +195,15 @@ class NodeState:
             spawned = PORTION * max(self.frame.n_lights, 2)
             self.work_queues.make_room(0, spawned, max(spawned, ADMIT_AT_ONCE))
         self.tuning.may_wait = wait
-        self.quota, why = self.run_loop(self._tables(), self.quota)
+        self.quota, why = self.run_loop(self.tables(), self.quota)
         self._crowded = why == BATCH_CROWDED
         self.samples_left = self.samples_left and int(self.cursor[DONE]) == 0
         if self.collecting >= 0 and self.work_queues.held == 0:
             self._send_pixels()
         return int(why)
 
-    def _tables(self) -> NodeTables:
+    def tables(self) -> NodeTables:
+        """What compiled code works on, in a node with a frame."""
         queues = self.work_queues
         tables = self.step_tables(self.outputs)
         return NodeTables(
@@ -213,6 +215,7 @@ class NodeState:
             queues.stacks,
             queues.count,
             self.native,
+            self.timers,
         )
 
     def step_tables(self, outputs: Outputs) -> StepTables:

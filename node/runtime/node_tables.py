@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from raygrid.node.jit.indirect import Address
 from raygrid.node.jit.records import Record, Rows, record
 from raygrid.node.runtime.native_links import NativeLinks
+from raygrid.node.runtime.timers import Timers
 from raygrid.node.tracing.step_tables import StepTables
 from raygrid.node.tracing.work_queues import Stacks
 
@@ -58,3 +59,4 @@ class NodeTables(NamedTuple):
     stacks: Stacks
     held: NDArray[np.int64]
     native: NativeLinks
+    timers: Timers

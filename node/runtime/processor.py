@@ -18,33 +18,14 @@ from raygrid.node.errors import ProtocolError
 from raygrid.node.geometry.grid_walk import HOST
 from raygrid.node.geometry.spanning_tree import tree_children, tree_parent
 from raygrid.node.links.link import Arrival, Link, LinkPhase
-from raygrid.node.protocol.commands import (
-    USUAL_FLUSH,
-    CommandMap,
-    CommandName,
-    read_frame,
-    read_hold,
-    read_space,
-    read_trace,
-)
+from raygrid.node.protocol import commands
 from raygrid.node.protocol.messages import MessageKind, check_packets, read_order
 from raygrid.node.protocol.packets import FAULTS
+from raygrid.node.runtime import reduction
 from raygrid.node.runtime.event_loop import BACK_OFFS
 from raygrid.node.runtime.native_link_table import NativeLinkTable
 from raygrid.node.runtime.node_state import NodeState
-from raygrid.node.runtime.reduction import (
-    COLLECTING,
-    HANDED_ON,
-    REFUSED,
-    SUM_DATA_DONE,
-    SUM_DATA_SENT,
-    SUM_RECEIVED,
-    SUMS,
-    Long,
-    TraceFields,
-    add_own_sums,
-    trace_request,
-)
+from raygrid.node.runtime.profile import Profile, counted_as
 from raygrid.node.runtime.reduction_replies import Reductions
 from raygrid.node.runtime.report import NodeRecord, record_of
 from raygrid.node.runtime.self_test import ready_program
@@ -62,6 +43,7 @@ class Processor:
     batch     most packets a message
     clock     seconds, for the time that a wave is held
     programs  whether it takes programs
+    profile   whether it says where its time goes
     """
 
     def __init__(
@@ -72,9 +54,11 @@ class Processor:
         batch: int,
         clock: Callable[[], float] = time.monotonic,
         programs: bool = False,
+        profile: bool = False,
     ) -> None:
         self.index, self.shape, self.links, self.batch, self.clock = index, shape, links, batch, clock
         self.node_state = NodeState(index, shape)
+        self.profile = Profile(self.node_state) if profile else None
         self.ended = False
         parent = tree_parent(index)
         self._parent = HOST if parent is None else parent
@@ -85,7 +69,7 @@ class Processor:
         self.reductions = Reductions(links, self._parent, self._children)
         self.refused: Counter[str] = Counter()
         self.cpu_at_frame = 0.0
-        self.node_state.tuning.flush, self.node_state.tuning.message_packets = min(USUAL_FLUSH, batch), batch
+        self.node_state.tuning.flush, self.node_state.tuning.message_packets = min(commands.USUAL_FLUSH, batch), batch
         self._link_table: NativeLinkTable | None = None
         self._ports = list(links.items())
         self.choked = self._up = False
@@ -94,6 +78,7 @@ class Processor:
 
     # --- the thin loop's three calls ---------------------------------------------------------------
 
+    @counted_as("receive")
     def receive(self, port: int) -> None:
         """Take in what a link has. Raises ProtocolError if the link itself is broken."""
         link = self.links[port]
@@ -158,7 +143,7 @@ class Processor:
     def _work_on_packets(self, wait: bool) -> int:
         """What a program raises is refused, with the packets that it was working on. Returns why work ended."""
         try:
-            return self.node_state.work(wait)
+            return self.node_state.work(wait) if self.profile is None else self.profile.work(wait)
         except Exception as error:
             if self.node_state.program is None:
                 raise
@@ -217,6 +202,7 @@ class Processor:
             why = f"node {','.join(map(str, self.index))}: for many other reasons"
         self.refused[why] += 1
 
+    @counted_as("send")
     def _flush(self) -> None:
         """Send the outputs that are full enough, all of them when there is nothing else to do."""
         outputs = self.node_state.outputs
@@ -233,9 +219,9 @@ class Processor:
 
     # --- waves -------------------------------------------------------------------------------------
 
-    def _begin_wave(self, order: CommandMap) -> None:
+    def _begin_wave(self, order: commands.CommandMap) -> None:
         self._refuse_second_wave()
-        hold = read_hold(order)
+        hold = commands.read_hold(order)
         self._wave = Wave(order.get("do"), order.get("wave"), self.clock() + hold if hold else 0.0)
         for port in self._children:
             self.links[port].send_order(MessageKind.DOWN, order)
@@ -251,24 +237,24 @@ class Processor:
     def _make_handlers(self) -> dict[str, Handler]:
         """Command -> what obeys it."""
         return {
-            CommandName.READY: Handler(do_nothing),
-            CommandName.PROGRAM: Handler(self._make_program_ready),
-            CommandName.USE: Handler(lambda _: self.node_state.use_ready()),
-            CommandName.SPACE: Handler(self._set_space, phase="load"),
-            CommandName.GROUPS: Handler(self.node_state.increments.set_groups, needs="space"),
-            CommandName.LOADED: Handler(do_nothing),
-            CommandName.MOVE: Handler(self._move, needs="space"),
-            CommandName.HAND: Handler(self._hand, needs="space"),
-            CommandName.BUILD: Handler(self._build, needs="space"),
-            CommandName.FRAME: Handler(self._set_frame, needs="space", phase="trace"),
-            CommandName.TRACE: Handler(self._trace_more, needs="frame"),
-            CommandName.COLLECT: Handler(self._collect, needs="frame", phase="collect"),
-            CommandName.REPORT: Handler(do_nothing, phase="idle"),
-            CommandName.HALT: Handler(self._halt, phase="idle"),
-            CommandName.END: Handler(do_nothing),
+            commands.CommandName.READY: Handler(do_nothing),
+            commands.CommandName.PROGRAM: Handler(self._make_program_ready),
+            commands.CommandName.USE: Handler(lambda _: self.node_state.use_ready()),
+            commands.CommandName.SPACE: Handler(self._set_space, phase="load"),
+            commands.CommandName.GROUPS: Handler(self.node_state.increments.set_groups, needs="space"),
+            commands.CommandName.LOADED: Handler(do_nothing),
+            commands.CommandName.MOVE: Handler(self._move, needs="space"),
+            commands.CommandName.HAND: Handler(self._hand, needs="space"),
+            commands.CommandName.BUILD: Handler(self._build, needs="space"),
+            commands.CommandName.FRAME: Handler(self._set_frame, needs="space", phase="trace"),
+            commands.CommandName.TRACE: Handler(self._trace_more, needs="frame"),
+            commands.CommandName.COLLECT: Handler(self._collect, needs="frame", phase="collect"),
+            commands.CommandName.REPORT: Handler(do_nothing, phase="idle"),
+            commands.CommandName.HALT: Handler(self._halt, phase="idle"),
+            commands.CommandName.END: Handler(do_nothing),
         }
 
-    def _obey(self, order: CommandMap) -> None:
+    def _obey(self, order: commands.CommandMap) -> None:
         do = order.get("do")
         handler = self._handlers.get(do) if isinstance(do, str) else None
         if handler is None:
@@ -280,40 +266,42 @@ class Processor:
             raise ProtocolError(f"the order {do!r} came before a frame")
         handler.run(order)
 
-    def _make_program_ready(self, order: CommandMap) -> None:
+    def _make_program_ready(self, order: commands.CommandMap) -> None:
         self.node_state.ready = ready_program(order, self._programs)
 
-    def _set_space(self, order: CommandMap) -> None:
-        self.node_state.set_space(read_space(order, self.shape))
+    def _set_space(self, order: commands.CommandMap) -> None:
+        self.node_state.set_space(commands.read_space(order, self.shape))
         self.node_state.halted = False
         self.flood.begin()
         self.refused.clear()
 
-    def _move(self, order: CommandMap) -> None:
+    def _move(self, order: commands.CommandMap) -> None:
         self.node_state.halted = self.flood.built = False
         self.node_state.move(order)
 
-    def _hand(self, _: CommandMap) -> None:
+    def _hand(self, _: commands.CommandMap) -> None:
         self.flood.handed_on += self.node_state.increments.hand()
 
-    def _build(self, _: CommandMap) -> None:
+    def _build(self, _: commands.CommandMap) -> None:
         self.node_state.build()
         self.flood.built = True
 
-    def _set_frame(self, order: CommandMap) -> None:
+    def _set_frame(self, order: commands.CommandMap) -> None:
         self.cpu_at_frame = time.process_time()
-        self.node_state.set_frame(read_frame(order))
+        self.node_state.set_frame(commands.read_frame(order))
+        if self.profile is not None:
+            self.profile.begin_frame()
         for link in self.links.values():
             link.forget_peaks()
         self.node_state.halted = False
 
-    def _trace_more(self, order: CommandMap) -> None:
-        self._admit(trace_request(0, read_trace(order)))
+    def _trace_more(self, order: commands.CommandMap) -> None:
+        self._admit(reduction.trace_request(0, commands.read_trace(order)))
 
-    def _collect(self, _: CommandMap) -> None:
+    def _collect(self, _: commands.CommandMap) -> None:
         self.node_state.collecting = 0
 
-    def _halt(self, _: CommandMap) -> None:
+    def _halt(self, _: commands.CommandMap) -> None:
         self.node_state.forget_frame()
         self.node_state.increments.give_up()
         for link in self.links.values():
@@ -321,7 +309,7 @@ class Processor:
         self.refused.clear()
         self.node_state.halted = True
 
-    def _admit(self, request: TraceFields) -> None:
+    def _admit(self, request: reduction.TraceFields) -> None:
         """Let more primaries be spawned, and tune the event loop: see `Driver`."""
         tuning = self.node_state.tuning
         self.node_state.quota = max(self.node_state.quota, request.quota)
@@ -338,12 +326,12 @@ class Processor:
         if not self._up and any(link.state is LinkPhase.NEW for link in self.links.values()):
             return
         self._up = True
-        reply = self._own_reply(with_record=wave.command == CommandName.REPORT)
+        reply = self._own_reply(with_record=wave.command == commands.CommandName.REPORT)
         for other in wave.replies:
             reply.add(other)
         self._wave = None
         self.links[self._parent].send_order(MessageKind.UP, reply.as_map(wave.number))
-        if wave.command == CommandName.END:
+        if wave.command == commands.CommandName.END:
             self.ended = True
             for link in self.links.values():
                 link.close()
@@ -355,20 +343,21 @@ class Processor:
         refusals = [f"{why} ({times} times)" for why, times in self.refused.most_common(MOST_SHOWN)]
         return WaveReply(self._own_sums(), [self.record()] if with_record else [], refusals)
 
-    def _own_sums(self) -> Long:
+    def _own_sums(self) -> reduction.Long:
         """What this node adds to the sums of a wave."""
         node_state, sums = self.node_state, self._known_sums(list(self.links.values()))
         counts, waiting, outputs = node_state.counts, node_state.work_queues.count, node_state.outputs.held
-        add_own_sums(sums, counts, waiting, outputs, node_state.samples_left, node_state.quota)
+        reduction.add_own_sums(sums, counts, waiting, outputs, node_state.samples_left, node_state.quota)
         return sums
 
-    def _known_sums(self, links: list[Link]) -> Long:
+    def _known_sums(self, links: list[Link]) -> reduction.Long:
         """What compiled code does not know of them, and the messages with data of these links."""
-        sums = np.zeros(SUMS, np.int64)
-        sums[SUM_RECEIVED], sums[HANDED_ON] = self.flood.received, self.flood.handed_on
-        sums[COLLECTING], sums[REFUSED] = self.node_state.collecting >= 0, sum(self.refused.values())
-        sums[SUM_DATA_SENT] = sum(link.data_sent for link in links)
-        sums[SUM_DATA_DONE] = sum(link.data_done for link in links)
+        sums = np.zeros(reduction.SUMS, np.int64)
+        sums[reduction.SUM_RECEIVED], sums[reduction.HANDED_ON] = self.flood.received, self.flood.handed_on
+        sums[reduction.COLLECTING] = self.node_state.collecting >= 0
+        sums[reduction.REFUSED] = sum(self.refused.values())
+        sums[reduction.SUM_DATA_SENT] = sum(link.data_sent for link in links)
+        sums[reduction.SUM_DATA_DONE] = sum(link.data_done for link in links)
         return sums
 
     # --- reductions --------------------------------------------------------------------------------
@@ -390,4 +379,5 @@ class Processor:
 
     def record(self) -> NodeRecord:
         """What this node says of itself, JSON-able."""
-        return record_of(self.node_state, self.links, self.served_by, self.cpu_at_frame)
+        record = record_of(self.node_state, self.links, self.served_by, self.cpu_at_frame)
+        return record if self.profile is None else record | {"profile": self.profile.seconds()}

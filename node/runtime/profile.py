@@ -1,10 +1,10 @@
-"""Tells where a node spends its time: for `--profile` only, attached from outside, so that nothing is paid for it else.
+"""Tells where a node spends its time: for `--profile` only. A node that is not asked has no `Profile`, and its timers are off.
 
 Seconds are CPU seconds of the node's thread, except `wait`, which is what the wall clock shows beside them: the node
-slept, or another process had the processor. Compiled code counts its own (`NativeLinks.spent`). What happens inside
+slept, or another process had the processor. Compiled code counts its own (`node.runtime.timers`). What happens inside
 its batches is sampled: before one call in EVERY some of the packets that wait are decoded, walked, and searched for hits
-once more, by the same functions, each time from the beginning; the differences, a packet, times the packets of all
-batches are the parts. Births are sampled likewise.
+once more, by the same functions (`node.runtime.profile_kernel`); the times of a packet, times the packets of all batches are the
+parts. Births are sampled likewise.
 
     receive   links, headers, checks, sorting packets onto the stacks
     birth     primary rays
@@ -19,163 +19,111 @@ batches are the parts. Births are sampled likewise.
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import time
-from collections.abc import Callable
-from typing import ParamSpec, TypeVar
+from collections.abc import Callable, Iterator
+from typing import Concatenate, ParamSpec, Protocol, TypeVar, cast
 
 import numpy as np
 
 from raygrid.node.protocol.counters import BORN, COUNTS, WALKS
-from raygrid.node.protocol.frame_tables import Frame
 from raygrid.node.protocol.packets import PRIMARY, SIZE
 from raygrid.node.runtime.node_state import NodeState
-from raygrid.node.runtime.processor import Processor
-from raygrid.node.runtime.profile_kernel import DECODE, HIT, WALK, trace_again
+from raygrid.node.runtime.profile_kernel import time_spawning, time_tracing
 from raygrid.node.runtime.profile_parts import PARTS
-from raygrid.node.runtime.reduction import Long
-from raygrid.node.runtime.report import NodeRecord
+from raygrid.node.runtime.timers import DECODING, RECEIVING, SEARCHING, SENDING, SPAWNING, TRACING, WALKING, make_timers
 from raygrid.node.tracing.batch import BATCH_RAYS, PORTION
-from raygrid.node.tracing.primaries import new_cursor, spawn_primaries
-from raygrid.node.tracing.work_queues import CLASSES, RAYS, SHADOWS, Bytes, WorkQueues
-
-Arguments = ParamSpec("Arguments")
-Result = TypeVar("Result")
+from raygrid.node.tracing.primaries import new_cursor
+from raygrid.node.tracing.work_queues import CLASSES, RAYS, SHADOWS
 
 EVERY = 2  # calls, one of which is sampled
 LEAST_SAMPLES = 64  # packets worth sampling
 SPAWNED = 8192  # primary rays born aside to know the time of one
 
 
-def warm(node_state: NodeState) -> None:
-    """Load the kernel, or compile it, for a node with a frame."""
-    _again(node_state, np.zeros(SIZE, np.uint8), np.zeros(1, np.uint8), 0, 0, HIT, np.zeros(COUNTS, np.int64))
-
-
-def _again(node_state: NodeState, packets: Bytes, ports: Bytes, first: int, last: int, what: int, counts: Long) -> None:
-    tables = node_state.cell, node_state.space, node_state.frame, node_state.surfaces
-    trace_again(*tables, packets, ports, first, last, what, node_state.outputs.stack, node_state.outputs.setup, counts)
-
-
 class Profile:
-    """Seconds of one node by part, since its frame began.
+    """Seconds of one node by part, since its frame began."""
 
-    Attached to a processor it takes the place of three of its methods, and adds its figures to the record.
-    """
-
-    def __init__(self, processor: Processor) -> None:
-        self._processor = processor
+    def __init__(self, node_state: NodeState) -> None:
+        self._node_state = node_state
         self._counts = np.zeros(COUNTS, np.int64)
         self._scratch = np.ones(SPAWNED * SIZE, np.uint8)
         self._frames = 0
+        node_state.timers = make_timers(True)
         # back to Python while packets wait, or there are none to sample
-        processor.node_state.tuning.loop_packets = 4 * BATCH_RAYS
+        node_state.tuning.loop_packets = 4 * BATCH_RAYS
         self._begin()
-        self._record = processor.record
-        self._serve, self._set_frame = processor.node_state.work, processor.node_state.set_frame
-        for owner, name, method in (
-            (processor, "receive", self._timed("receive", processor.receive)),
-            (processor, "_flush", self._timed("send", processor._flush)),
-            (processor, "record", self.record),
-            (processor.node_state, "work", self._work),
-            (processor.node_state, "set_frame", self._begin_frame),
-        ):
-            setattr(owner, name, method)
 
-    def _begin_frame(self, frame: Frame) -> None:
-        self._set_frame(frame)
-        warm(self._processor.node_state)  # or the first sample would hold the loading of the kernel
+    def begin_frame(self) -> None:
+        """Begin anew, in a node that has just got a frame."""
+        warm(self._node_state)  # or the first sample would hold the loading of kernels
         self._begin()
 
     def _begin(self) -> None:
         self._seconds = dict.fromkeys(("receive", "send", "batches", "aside"), 0.0)
-        self._sampled = dict.fromkeys(("birth", "decode", "walk", "hit"), 0.0)
+        self._sampled = np.zeros_like(self._node_state.timers.spent)
         self._packets = self._spawned = 0  # that were sampled
         self._calls = 0
         self._frames += 1
         self._wall, self._cpu = time.perf_counter(), time.thread_time()
 
-    def _timed(self, part: str, method: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-        def timed(*arguments: Arguments.args, **options: Arguments.kwargs) -> Result:
-            begun, frames = time.thread_time(), self._frames
-            try:
-                return method(*arguments, **options)
-            finally:
-                if self._frames == frames:  # else the frame began in it
-                    self._seconds[part] += time.thread_time() - begun
+    @contextlib.contextmanager
+    def counting(self, part: str) -> Iterator[None]:
+        """What is done within is a part, "receive" or "send", unless a frame begins in it."""
+        begun, frames = time.thread_time(), self._frames
+        try:
+            yield
+        finally:
+            if self._frames == frames:
+                self._seconds[part] += time.thread_time() - begun
 
-        return timed
-
-    def _work(self, wait: bool = False) -> int:
+    def work(self, wait: bool) -> int:
+        """Let the node work, as `NodeState.work`, and see what it spends; some of the packets are sampled before."""
         self._calls += 1
         begun = time.thread_time()
-        if self._calls % EVERY == 1 and self._processor.node_state.frame is not None:
-            self._sample()
-        spent = self._processor.node_state.native.spent
+        spent = self._node_state.timers.spent
         spent[:] = 0
+        if self._calls % EVERY == 1 and self._node_state.frame is not None:
+            self._sample()
+            self._sampled += spent
+            spent[:] = 0
         served = time.thread_time()
-        why = self._serve(wait)
+        why = self._node_state.work(wait)
         whole = time.thread_time() - served
-        receiving, tracing, sending = (spent * 1e-9).tolist()
-        self._seconds["receive"] += receiving
-        self._seconds["send"] += sending
-        self._seconds["batches"] += tracing or whole  # where the event loop is not timed there is nothing else to go by
+        seconds = (spent * 1e-9).tolist()
+        self._seconds["receive"] += seconds[RECEIVING]
+        self._seconds["send"] += seconds[SENDING]
+        self._seconds["batches"] += seconds[TRACING] or whole  # where there is no clock there is nothing else to go by
         self._seconds["aside"] += served - begun
         return why
 
     def _sample(self) -> None:
         """Time packets that wait, and some that are spawned."""
-        node_state = self._processor.node_state
+        node_state = self._node_state
+        queues = node_state.work_queues
         for kind in (SHADOWS, RAYS):
-            held = int(node_state.work_queues.count[kind])
+            held = int(queues.count[kind])
             if held >= LEAST_SAMPLES:
-                self._sample_stack(node_state.work_queues, kind, held)
+                first = max(0, held - PORTION)
+                packets, ports = queues.stacks[kind], queues.stacks[CLASSES + kind]
+                time_tracing(node_state.tables(), packets, ports, first, held, self._counts)
+                self._packets += held - first
         if node_state.quota > 0 and node_state.samples_left:
-            self._sample_spawned()
-
-    def _sample_stack(self, work_queues: WorkQueues, kind: int, held: int) -> None:
-        node_state = self._processor.node_state
-        first = max(0, held - PORTION)
-
-        def timed(end: int, what: int) -> float:
-            begun = time.thread_time()
-            _again(
-                node_state, work_queues.stacks[kind], work_queues.stacks[CLASSES + kind], first, end, what, self._counts
-            )
-            return time.thread_time() - begun
-
-        timed(first, DECODE)  # the way into compiled code is long, and cold the first time
-        before = timed(first, DECODE)
-        self._packets += held - first
-        for part, what in (("decode", DECODE), ("walk", WALK), ("hit", HIT)):
-            spent = timed(held, what)
-            self._sampled[part] += max(spent - before, 0.0)
-            before = spent
-
-    def _sample_spawned(self) -> None:
-        """Spawn some primaries aside."""
-        node_state = self._processor.node_state
-        tables = node_state.step_tables(node_state.outputs)
-        pixels = tables.pixels._replace(samples=tables.pixels.samples.copy())
-        cursor = new_cursor(True)
-        begun = time.thread_time()
-        self._spawned += spawn_primaries(
-            tables._replace(pixels=pixels, counts=self._counts), cursor, self._scratch, 0, SPAWNED
-        )
-        self._sampled["birth"] += time.thread_time() - begun
-
-    def record(self) -> NodeRecord:
-        """The processor's record with `profile`: seconds by part."""
-        record = self._record()
-        record["profile"] = {part: round(seconds, 6) for part, seconds in self.seconds().items()}
-        return record
+            self._spawned += _spawn_aside(node_state, self._scratch, self._counts)
 
     def seconds(self) -> dict[str, float]:
         """Seconds by part since the frame began; sampled parts scaled to all batches."""
         wall, cpu = time.perf_counter() - self._wall, time.thread_time() - self._cpu
-        spent, sampled = self._seconds, self._sampled
-        traced, counts = spent["batches"], self._processor.node_state.counts
-        parts = {part: sampled[part] / max(self._packets, 1) * int(counts[WALKS]) for part in ("decode", "walk", "hit")}
-        parts["birth"] = sampled["birth"] / max(self._spawned, 1) * int(counts[BORN + PRIMARY])
+        spent, sampled, counts = self._seconds, (self._sampled * 1e-9).tolist(), self._node_state.counts
+        traced = spent["batches"]
+        walked = int(counts[WALKS]) / max(self._packets, 1)
+        parts = {
+            "decode": sampled[DECODING] * walked,
+            "walk": sampled[WALKING] * walked,
+            "hit": sampled[SEARCHING] * walked,
+            "birth": sampled[SPAWNING] / max(self._spawned, 1) * int(counts[BORN + PRIMARY]),
+        }
         known = sum(parts.values())
         if known > traced:  # what is sampled is colder than what it stands for
             parts = {part: seconds * traced / known for part, seconds in parts.items()}
@@ -183,4 +131,49 @@ class Profile:
         parts |= {"receive": spent["receive"], "send": spent["send"]}
         parts["other"] = max(cpu - spent["aside"] - traced - spent["receive"] - spent["send"], 0.0)
         parts["wait"] = max(wall - cpu, 0.0)
-        return {part: parts[part] for part in PARTS}
+        return {part: round(parts[part], 6) for part in PARTS}
+
+
+def warm(node_state: NodeState) -> None:
+    """Load the kernels, or compile them, for a node with a frame."""
+    counts = np.zeros(COUNTS, np.int64)
+    time_tracing(node_state.tables(), np.zeros(SIZE, np.uint8), np.zeros(1, np.uint8), 0, 0, counts)
+    _spawn_aside(node_state, np.zeros(0, np.uint8), counts)
+
+
+def _spawn_aside(node_state: NodeState, scratch: np.ndarray, counts: np.ndarray) -> int:
+    """Spawn as many primary rays as there is room for, of which the node knows nothing; returns how many."""
+    tables = node_state.step_tables(node_state.outputs)
+    pixels = tables.pixels._replace(samples=tables.pixels.samples.copy())
+    aside = tables._replace(pixels=pixels, counts=counts)
+    return int(time_spawning(node_state.timers, aside, new_cursor(True), scratch, len(scratch) // SIZE))
+
+
+# --- what a processor is marked with -----------------------------------------------------------------------
+
+
+class Profiled(Protocol):
+    """Who may have a profile."""
+
+    profile: Profile | None
+
+
+Who = TypeVar("Who", bound=Profiled)
+Arguments = ParamSpec("Arguments")
+Method = Callable[Concatenate[Who, Arguments], None]
+
+
+def counted_as(part: str) -> Callable[[Method[Who, Arguments]], Method[Who, Arguments]]:
+    """What a method does is a part of its processor's profile, if it has one."""
+
+    def marked(method: Method[Who, Arguments]) -> Method[Who, Arguments]:
+        @functools.wraps(method)
+        def counted(self: Who, *arguments: Arguments.args, **options: Arguments.kwargs) -> None:
+            if self.profile is None:
+                return method(self, *arguments, **options)
+            with self.profile.counting(part):
+                return method(self, *arguments, **options)
+
+        return cast("Method[Who, Arguments]", counted)
+
+    return marked

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from raygrid.node.errors import ProtocolError
 from raygrid.node.protocol.commands import CommandMap
 from raygrid.node.runtime.reduction import SUMS, Long
-from raygrid.node.runtime.report import NodeRecord
+
+if TYPE_CHECKING:  # the driver reads replies, and needs nothing of a node's state
+    from raygrid.node.runtime.report import NodeRecord
 
 MOST_SHOWN = 3  # reasons of refusals in a reply
 

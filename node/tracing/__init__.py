@@ -3,6 +3,6 @@
 What it gives to other layers is listed in `__init__.pyi`; each name is loaded when it is first used.
 """
 
-import lazy_loader
+from raygrid.node.faces import face
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__ = face(__name__, __file__)

@@ -18,8 +18,8 @@ from .primaries import spawn_primaries as spawn_primaries
 from .primaries import spawn_primary as spawn_primary
 from .primaries import spawn_sample as spawn_sample
 from .primary_rays import noted_return as noted_return
+from .shading import edge_colour as edge_colour
 from .shading import place as place
-from .step import edge_colour as edge_colour
 from .step import observed_step as observed_step
 from .step_tables import FOUND_DIRECTION as FOUND_DIRECTION
 from .step_tables import FOUND_DISTANCE as FOUND_DISTANCE
@@ -29,7 +29,5 @@ from .step_tables import FOUND_TIME as FOUND_TIME
 from .step_tables import Found as Found
 from .step_tables import Outputs as Outputs
 from .step_tables import StepTables as StepTables
-from .traverse import FAREST as FAREST
-from .traverse import for_boxes as for_boxes
 from .work_queues import BYTES_A_PACKET as BYTES_A_PACKET
 from .work_queues import FIRST_QUEUE_ROOM as FIRST_QUEUE_ROOM

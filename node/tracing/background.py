@@ -13,7 +13,7 @@ import numpy as np
 from raygrid.node.jit.decorators import Function, kernel
 from raygrid.node.tracing.framebuffer import fixed_point
 from raygrid.node.tracing.primaries import ray_of_sample
-from raygrid.node.tracing.step import edge_colour
+from raygrid.node.tracing.shading import edge_colour
 
 
 @cache

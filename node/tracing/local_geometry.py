@@ -37,7 +37,7 @@ from raygrid.node.geometry.quaternion import rotation_matrices
 from raygrid.node.geometry.surface_tables import KIND_SHIFT, Surfaces
 from raygrid.node.geometry.surfaces import F64, STORED_AS, STRIDE, AddedKind, AnyKind, Batch, Kind, SurfaceSet
 from raygrid.node.jit.decorators import kernel
-from raygrid.node.protocol.packets import SHORTEST
+from raygrid.node.protocol.packing import SHORTEST
 
 MOST_BINS = 1024  # strips of a polygon's height
 

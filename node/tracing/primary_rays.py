@@ -1,8 +1,6 @@
 """Works out primary rays, eight at once: those that may be spawned, and the homes of return packets.
 
-Both begin with the ray of a sample and the point at which it enters the world box. The operations, and their order,
-are those of `camera.eye_ray`, `camera.entry`, `camera.primary_origin` and `packets.put_ray`: so are the bits, which a
-test compares.
+Both begin with the ray of a sample and the point at which it enters the world box (`node.tracing.camera`).
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
@@ -10,35 +8,20 @@ test compares.
 
 from __future__ import annotations
 
-import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numba.core import types
-from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from raygrid.node.geometry.lattice import FINE, HALF, LONGEST_STEP
+from raygrid.node.geometry.grid_walk import behind
+from raygrid.node.geometry.lattice import CELL
 from raygrid.node.jit.decorators import part
-from raygrid.node.jit.simd import EIGHT, Lanes, Table, least, most, splat, splats
-from raygrid.node.protocol.packets import PRIMARY, SHORTEST, pack_weight
-from raygrid.node.tracing.camera import R2_X, R2_Y, TRIES
-from raygrid.node.tracing.ray_setup import behind, corners, inverse_eight
-from raygrid.node.tracing.spawn import nearest_eight, next_on_lattice, put_made, rest_of_ray, words_of
-
-if TYPE_CHECKING:
-    from raygrid.node.jit.code_types import (
-        BaseContext,
-        Intrinsic,
-        IRBuilder,
-        Signature,
-        Type,
-        Typed,
-        TypingContext,
-        Value,
-        Values,
-    )
-
+from raygrid.node.jit.formula import eight
+from raygrid.node.jit.lanes import ARRAY, EIGHT, F64, I64, VECTOR, Columns, Lanes, Memory, Staged, Three
+from raygrid.node.protocol.packets import PRIMARY
+from raygrid.node.protocol.packing import pack_weight, ray_words
+from raygrid.node.tracing.camera import entry, eye_ray, pixel_and_point, primary_origin
+from raygrid.node.tracing.spawn import put_made
 
 PRIMARY_ROOM = 128  # samples that are noted before they are worked out; a multiple of EIGHT
 # rows of `facts`: of a primary the point in the image; of a return its intensity
@@ -50,7 +33,6 @@ PRIMARY_HEAD, PRIMARY_PLACE = 0, 1
 PRIMARY_WORD, PRIMARY_BEHIND, PRIMARY_POINT, PRIMARY_PIXEL, PRIMARY_WORDS = 2, 6, 2, 5, 7
 WHITE = int(pack_weight(1.0, 1.0, 1.0))
 NO_HOME = -1
-CAMERA_COLUMNS = 18  # numbers of a camera
 
 
 class PrimaryBatch(NamedTuple):
@@ -62,6 +44,9 @@ class PrimaryBatch(NamedTuple):
     facts: NDArray[np.float64]
     words: NDArray[np.int64]
     held: NDArray[np.int64]
+
+
+BATCH = PrimaryBatch(ARRAY, ARRAY, ARRAY)  # type: ignore[arg-type]  # as formulas take it
 
 
 def make_primary_batch() -> PrimaryBatch:
@@ -90,7 +75,7 @@ def note_primary(seen, x, y, sample, place):
 def work_out_primaries(cell, space, frame, seen):
     """Make the words of all that are noted."""
     for j in range(0, seen.held[0], EIGHT):
-        _primary_words(seen.facts, seen.words, j, frame.camera, space.step, corners(cell))
+        _make_primaries(seen, j, frame.camera, cell, space.step)
 
 
 @part
@@ -123,9 +108,7 @@ def note_return(seen, frame, sample, depth, intensity):
 def work_out_returns(space, frame, seen):
     """Find the pixels of all samples that are noted, and where their rays enter the world box."""
     for j in range(0, seen.held[0], EIGHT):
-        _entries(
-            seen.facts, seen.words, j, frame.camera, space.step, (np.float64(frame.width), np.float64(frame.samples))
-        )
+        _find_homes(seen, j, frame.camera, space.step, frame.width, frame.samples)
 
 
 @part
@@ -160,129 +143,26 @@ def noted_return(seen, j):
 # --- eight at once -------------------------------------------------------------------------------------
 
 
-def _hash(x: Lanes) -> Lanes:
-    """As `camera.hash32`, of int64 below 2^32."""
-    x = ((x ^ x >> 16) * 0x85EBCA6B) & 0xFFFFFFFF
-    x = ((x ^ x >> 13) * 0xC2B2AE35) & 0xFFFFFFFF
-    return x ^ x >> 16
+@eight(takes=(BATCH, I64, ARRAY, CELL, VECTOR))
+def _make_primaries(seen: Staged, at: Lanes, camera: Memory, cell: Staged, step: Three) -> None:
+    """Make the words of the primaries from column `at` on; camera  float64 (6, 3)."""
+    facts, words = (Columns(of, at, PRIMARY_ROOM) for of in (seen.facts, seen.words))
+    origin, direction = eye_ray(camera, facts.read(IMAGE_X), facts.read(IMAGE_Y))
+    enters, point, near = entry(step, origin, direction)
+    start = primary_origin(step, origin, direction, near)
+    head = words.read(PRIMARY_HEAD)
+    for k, word in enumerate(ray_words(head, start, direction, head.every(WHITE))):
+        words.write(PRIMARY_WORD + k, word)
+    words.write(PRIMARY_BEHIND, enters.choose(behind(cell, point).to(I64), NO_HOME))
 
 
-def _image_point(sample: Lanes, width: Lanes, samples: Lanes) -> tuple[list[Lanes], list[Lanes]]:
-    """As `camera.image_point`: (column and row of the pixel, the point). Wholes in binary64: quotients of numbers below
-    2^32 lie farther below the next whole than rounding can raise them, so those of divisions are theirs."""
-    pixel = math.floor(sample.as_float() / samples)
-    row = math.floor(pixel / width)
-    column = pixel - row * width
-    number = sample.as_float() - pixel * samples + 1.0
-    mixed = _hash(pixel.as_number())
-    alone = samples.equals(1.0)
-    point = []
-    for middle, bits, ratio in ((column, mixed & 0xFFFF, R2_X), (row, mixed >> 16, R2_Y)):
-        at = bits.as_float() * (1.0 / 65536.0) + number * ratio
-        point.append(alone.choose(middle, middle + (at - math.floor(at)) - 0.5))
-    return [column, row], point
-
-
-def _eye_ray(camera: list[Lanes], x: Lanes, y: Lanes) -> tuple[list[Lanes], list[Lanes]]:
-    """As `camera.eye_ray`."""
-    origin, (u, v, w) = (
-        [camera[row + axis] + x * camera[row + 3 + axis] + y * camera[row + 6 + axis] for axis in range(3)]
-        for row in (0, 9)
-    )
-    squared = u * u + v * v + w * w
-    has_one = squared >= SHORTEST * SHORTEST
-    scale = has_one.choose(1.0 / squared.root(), squared.every(0.0))
-    return origin, [u * scale, v * scale, has_one.choose(w * scale, w.every(1.0))]
-
-
-def _entry(origin: list[Lanes], direction: list[Lanes], step: list[Lanes]) -> tuple[Lanes, list[Lanes], list[Lanes]]:
-    """As `camera.entry`: (enters, lattice point, the point itself)."""
-    nears, fars = [], []
-    for at, d, one in zip(origin, direction, step, strict=True):
-        inverse, half = inverse_eight(d), one * float(HALF)
-        a, b = (-half - at) * inverse, (half - at) * inverse
-        nears.append((inverse >= 0.0).choose(a, b))
-        fars.append((inverse >= 0.0).choose(b, a))
-    near = most(nears[0], most(nears[1], most(nears[2], nears[2].every(0.0))))
-    far = least(fars[0], least(fars[1], fars[2]))
-    point = [origin[axis] + near * direction[axis] for axis in range(3)]
-    return near <= far, [nearest_eight(point[axis], step[axis]) for axis in range(3)], point
-
-
-def _beside_ray(p: list[Lanes], d: list[Lanes], step: list[Lanes]) -> list[Lanes]:
-    """As `lattice.beside_ray` with TRIES tries."""
-    places, speeds = ([of[axis] / step[axis] for axis in range(3)] for of in (p, d))
-    first, speed = next_on_lattice(places, speeds, d, step)
-    inverse = 1.0 / speed
-    stride = most(speed.every(1.0), math.floor(abs(speed) * LONGEST_STEP)) * abs(inverse)
-    least_aside, t = first.every(float("inf")), first
-    for k in range(TRIES):
-        after = first + stride * float(k)
-        rests = []
-        for axis in range(3):
-            at = places[axis] + after * speeds[axis]
-            rests.append((at - math.floor(at + 0.5)) * step[axis])
-        a, b, c = rests
-        along = a * d[0] + b * d[1] + c * d[2]
-        aside = math.trunc((a * a + b * b + c * c - along * along) * FINE)
-        better = aside < least_aside
-        least_aside, t = better.choose(aside, least_aside), better.choose(after, t)
-    return [nearest_eight(p[axis] + t * d[axis], step[axis]) for axis in range(3)]
-
-
-def _tables(
-    context: BaseContext, builder: IRBuilder, signature: Signature, args: Values
-) -> tuple[Table, Table, list[Lanes], list[Lanes]]:
-    """Facts, words, camera and step among the arguments of an intrinsic."""
-    facts, words = (Table(context, builder, signature.args[k], args[k], args[2], PRIMARY_ROOM) for k in range(2))
-    camera = context.make_array(signature.args[3])(context, builder, args[3]).data
-    numbers = [builder.load(builder.gep(camera, [context.get_constant(types.intp, k)])) for k in range(CAMERA_COLUMNS)]
-    return facts, words, [splat(builder, number) for number in numbers], splats(builder, args[4])
-
-
-def _make_primary_words(
-    typingctx: TypingContext, facts: Type, words: Type, at: Type, camera: Type, step: Type, edges: Type
-) -> Typed:
-    """Make the words of eight primaries, columns at..at+7; camera  float64 (6, 3); edges  six int32, the cell's corners."""
-
-    def codegen(context: BaseContext, builder: IRBuilder, signature: Signature, args: Values) -> Value:
-        known, made, numbers, steps = _tables(context, builder, signature, args)
-        origin, d = _eye_ray(numbers, known.read(IMAGE_X), known.read(IMAGE_Y))
-        enters, point, start = _entry(origin, d, steps)
-        head = made.read(PRIMARY_HEAD)
-        for k, word in enumerate(words_of(head, _beside_ray(start, d, steps), rest_of_ray(d, head.every(WHITE)))):
-            made.write(PRIMARY_WORD + k, word)
-        ports = behind(point, splats(builder, args[5])).as_long()
-        made.write(PRIMARY_BEHIND, enters.choose(ports, ports.every(NO_HOME)))
-        return context.get_dummy_value()
-
-    tuples = types.UniTuple(types.float64, 3), types.UniTuple(types.int32, 6)
-    return types.void(facts, words, types.int64, camera, *tuples), codegen
-
-
-def _make_entries(
-    typingctx: TypingContext, facts: Type, words: Type, at: Type, camera: Type, step: Type, sizes: Type
-) -> Typed:
-    """Find the pixels of eight samples and where their rays enter the world box, columns at..at+7.
-
-    camera  float64 (6, 3); sizes  two float64, width of the picture and samples a pixel
-    """
-
-    def codegen(context: BaseContext, builder: IRBuilder, signature: Signature, args: Values) -> Value:
-        _, made, numbers, steps = _tables(context, builder, signature, args)
-        pixel, image = _image_point(made.read(PRIMARY_HEAD) & 0xFFFFFFFF, *splats(builder, args[5]))
-        origin, direction = _eye_ray(numbers, *image)
-        _, point, _ = _entry(origin, direction, steps)
-        for axis in range(3):
-            made.write(PRIMARY_POINT + axis, point[axis].as_long())
-        for k in range(2):
-            made.write(PRIMARY_PIXEL + k, pixel[k].as_number())
-        return context.get_dummy_value()
-
-    tuples = types.UniTuple(types.float64, 3), types.UniTuple(types.float64, 2)
-    return types.void(facts, words, types.int64, camera, *tuples), codegen
-
-
-# kernels call them without the first argument
-_primary_words: Intrinsic = intrinsic(_make_primary_words)
-_entries: Intrinsic = intrinsic(_make_entries)
+@eight(takes=(BATCH, I64, ARRAY, VECTOR, F64, F64))
+def _find_homes(seen: Staged, at: Lanes, camera: Memory, step: Three, width: Lanes, samples: Lanes) -> None:
+    """Find the pixels of the samples from column `at` on, and where their rays enter the world box."""
+    words = Columns(seen.words, at, PRIMARY_ROOM)
+    pixel, point = pixel_and_point(words.read(PRIMARY_HEAD) & 0xFFFFFFFF, width, samples)
+    _, entered, _ = entry(step, *eye_ray(camera, *point))
+    for axis in range(3):
+        words.write(PRIMARY_POINT + axis, entered[axis].to(I64))
+    for k in range(2):
+        words.write(PRIMARY_PIXEL + k, pixel[k].to(I64))

@@ -7,7 +7,7 @@ are put into lists, and then each list is gone through in a loop of its own.
 First rays are held against the box of all that the cell holds. Its planes are the least and greatest of those of the
 root's boxes. Times of planes are differences and products, which round monotonically, as are minima and maxima: so a
 ray enters it no later than any of these boxes, and leaves it no earlier. A ray that does not meet it meets none of
-them, in the very arithmetic in which they are tested (`bvh_simd.push_boxes`), so nothing that is counted depends on it.
+them, in the very arithmetic in which they are tested (`bvh_boxes.push_boxes`), so nothing that is counted depends on it.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
@@ -15,18 +15,16 @@ them, in the very arithmetic in which they are tested (`bvh_simd.push_boxes`), s
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
-from llvmlite import ir
-from numba.core import types
-from numba.extending import intrinsic
 
 from raygrid.node.geometry.bvh import EMPTY_BOUND
-from raygrid.node.geometry.bvh_simd import LEAVE_LATER, WIDE
+from raygrid.node.geometry.bvh_boxes import WIDE, meets, times
 from raygrid.node.geometry.grid_walk import PORTS, leaves_array
 from raygrid.node.jit.decorators import part
-from raygrid.node.jit.simd import EIGHT, Lanes, Table, least, most, splat, splats
+from raygrid.node.jit.formula import eight
+from raygrid.node.jit.lanes import EIGHT, F32, I64, Columns, Lanes, Staged, Three
 from raygrid.node.tracing.ray_setup import (
     BOX_HIGH,
     BOX_INVERSE,
@@ -35,25 +33,12 @@ from raygrid.node.tracing.ray_setup import (
     DISTANCE,
     LISTS,
     NOT_AT_START,
+    SETUP,
     SETUP_RAYS,
     SETUP_ROOM,
     T_OUT,
     open_root_of,
 )
-
-if TYPE_CHECKING:
-    from raygrid.node.jit.code_types import (
-        BaseContext,
-        Intrinsic,
-        IRBuilder,
-        Signature,
-        Type,
-        Typed,
-        TypingContext,
-        Value,
-        Values,
-    )
-
 
 # lists: rays that go on to the next cell; that leave the array, reach their light, or are not at their start; that
 # meet boxes of the root; that meet the box of all
@@ -109,13 +94,13 @@ def classify(surfaces, many, shadows, box, ends, setup):
 
     box, ends  as `box_of_all` and `ends_of_array` give them
     """
-    singles, known, ways, lists, met = setup.singles, setup.known, setup.ways, setup.lists, setup.met
+    lists, met = setup.lists, setup.met
     tops = (np.int64(0), np.int64(0), np.int64(0))
     for j in range(0, many, EIGHT):
-        if shadows:
-            tops = _classify_shadows(singles, known, ways, lists, met, j, many, box, ends, tops)
+        if shadows:  # noqa: SIM108  # a choice in one line is longer
+            tops = _classify_shadows(setup, j, many, box, ends, tops)
         else:
-            tops = _classify_rays(singles, known, ways, lists, met, j, many, box, ends, tops)
+            tops = _classify_rays(setup, j, many, box, ends, tops)
     passing, ending, near_by = tops
     searched = np.int64(0)
     for k in range(near_by):
@@ -141,72 +126,50 @@ def unfinished(setup, k, ending):
 # --- eight at once -------------------------------------------------------------------------------------
 
 
-def _meets(singles: Table, box: list[Lanes]) -> Lanes:
-    """Tell whether rays meet a box, as `bvh_simd.push_boxes` tells it of eight boxes and a ray."""
-    enter, leave = singles.read(BOX_LOW), singles.read(BOX_HIGH)
-    for axis in range(3):
-        origin, inverse = singles.read(BOX_PLACE + axis), singles.read(BOX_INVERSE + axis)
-        low, high = ((box[side + axis] - origin) * inverse for side in (0, 3))
-        forwards = inverse >= 0.0
-        enter, leave = most(enter, forwards.choose(low, high)), least(leave, forwards.choose(high, low))
-    return enter <= leave * LEAVE_LATER
+def _meets(singles: Columns, box: Sequence[Lanes]) -> Lanes:
+    """Tell whether rays meet a box, in the arithmetic in which they are tested against the root's boxes."""
+    origin, inv = singles.three(BOX_PLACE), singles.three(BOX_INVERSE)
+    near = [(inv[axis] >= 0.0).choose(box[axis], box[3 + axis]) for axis in range(3)]
+    far = [(inv[axis] >= 0.0).choose(box[3 + axis], box[axis]) for axis in range(3)]
+    return meets(*times(near, far, origin, inv, singles.read(BOX_LOW), singles.read(BOX_HIGH)))
 
 
-def _append(builder: IRBuilder, lists: Table, which: int, numbers: Lanes, chosen: Lanes, top: Value) -> Value:
-    """Append those of eight numbers that are chosen to a list that is `top` long; returns its new length."""
-    lists.at(builder.add(top, ir.Constant(top.type, which * SETUP_ROOM))).write(0, numbers.in_front(chosen))
-    return builder.add(top, chosen.count())
+def _classify(
+    setup: Staged, at: Lanes, many: Lanes, box: Sequence[Lanes], ends: Lanes, tops: Three, shadows: bool
+) -> list[Lanes]:
+    """Append the rays from column `at` on that are below `many` to the lists PASSING, ENDING and NEAR_BY, `tops` long;
+    returns their new lengths. Of those near by `met` becomes whether they end here unless they meet anything, of the others 0."""
+    way, singles = setup.ways.read(at), Columns(setup.singles, at, SETUP_RAYS)
+    numbers = setup.ways.numbered(at)
+    valid = numbers < many
+    ending = (ends >> way & 1) >= 1
+    if shadows:
+        known = Columns(setup.known, at, SETUP_RAYS)
+        ending = ending.either(known.read(DISTANCE) <= known.read(T_OUT))
+    near_by = _meets(singles, box).lacks(way.equals(NOT_AT_START)).both(valid)
+    setup.met.write(at, near_by.both(ending).to(I64))
+    rest = valid.lacks(near_by)
+    chosen = ((PASSING, rest.lacks(ending)), (ENDING, rest.both(ending)), (NEAR_BY, near_by))
+    return [
+        top + setup.lists.append(top + which * SETUP_ROOM, numbers, those)
+        for (which, those), top in zip(chosen, tops, strict=True)
+    ]
 
 
-def _classify(shadows: bool) -> Intrinsic:
-    """Make the intrinsic that classifies eight rays, shadow rays or others."""
-
-    def intrinsic_function(
-        typingctx: TypingContext,
-        singles: Type,
-        known: Type,
-        ways: Type,
-        lists: Type,
-        met: Type,
-        at: Type,
-        many: Type,
-        box: Type,
-        ends: Type,
-        tops: Type,
-    ) -> Typed:
-        """Append the rays of columns at..at+7 that are below `many` to the lists PASSING, ENDING and NEAR_BY, `tops` long;
-        returns their new lengths. Of those near by `met` becomes whether they end here unless they meet anything, of the
-        others 0."""
-
-        def codegen(context: BaseContext, builder: IRBuilder, signature: Signature, args: Values) -> Value:
-            boxes, numbers, out, found, kept = (
-                Table(context, builder, signature.args[k], args[k], args[5], SETUP_RAYS) for k in range(5)
-            )
-            way = out.read(0)
-            counting = Lanes(builder, ir.Constant(way.value.type, list(range(EIGHT)))) + splat(builder, args[5])
-            valid = counting < splat(builder, args[6])
-            not_at_start = way.equals(NOT_AT_START)
-            ending = (splat(builder, args[8]) >> way & 1) >= 1
-            if shadows:
-                ending = ending.either(numbers.read(DISTANCE) <= numbers.read(T_OUT))
-            near_by = _meets(boxes, splats(builder, args[7])).lacks(not_at_start).both(valid)
-            kept.write(0, near_by.both(ending).as_long())
-            rest = valid.lacks(near_by)
-            tops = [builder.extract_value(args[9], k) for k in range(3)]
-            chosen = ((PASSING, rest.lacks(ending)), (ENDING, rest.both(ending)), (NEAR_BY, near_by))
-            after = [
-                _append(builder, found, which, counting, those, top)
-                for (which, those), top in zip(chosen, tops, strict=True)
-            ]
-            return context.make_tuple(builder, signature.return_type, after)
-
-        three = types.UniTuple(types.int64, 3)
-        tables = singles, known, ways, lists, met
-        return three(*tables, types.int64, types.int64, types.UniTuple(types.float32, 6), types.int64, three), codegen
-
-    return intrinsic(intrinsic_function)
+_TAKES = (SETUP, I64, I64, (F32,) * 6, I64, (I64, I64, I64))
 
 
-# kernels call them without the first argument
-_classify_rays: Intrinsic = _classify(False)
-_classify_shadows: Intrinsic = _classify(True)
+@eight(takes=_TAKES, gives=(I64, I64, I64), carries=True)
+def _classify_rays(
+    setup: Staged, at: Lanes, many: Lanes, box: Sequence[Lanes], ends: Lanes, tops: Three
+) -> list[Lanes]:
+    """Classify rays."""
+    return _classify(setup, at, many, box, ends, tops, shadows=False)
+
+
+@eight(takes=_TAKES, gives=(I64, I64, I64), carries=True)
+def _classify_shadows(
+    setup: Staged, at: Lanes, many: Lanes, box: Sequence[Lanes], ends: Lanes, tops: Three
+) -> list[Lanes]:
+    """Classify shadow rays, which end where they reach their light, too."""
+    return _classify(setup, at, many, box, ends, tops, shadows=True)

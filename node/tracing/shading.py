@@ -16,6 +16,8 @@ from raygrid.node.geometry.intersect import CONE_AXIS, CONE_BASE, CONE_SLOPE, PL
 from raygrid.node.geometry.lattice import coordinate
 from raygrid.node.geometry.surface_tables import KIND_SHIFT, SLOT_MASK
 from raygrid.node.jit.decorators import part
+from raygrid.node.jit.formula import formula
+from raygrid.node.jit.lanes import F64, VECTOR, Lanes, Three, dot
 from raygrid.node.protocol.frame_tables import (
     COS_DISC,
     COS_INNER,
@@ -28,7 +30,7 @@ from raygrid.node.protocol.frame_tables import (
     LIGHT_PLACE,
     LIGHT_SPOT,
 )
-from raygrid.node.protocol.packets import SHORTEST
+from raygrid.node.protocol.packing import SHORTEST
 
 
 @part
@@ -92,16 +94,25 @@ def _cone_normal(cones, row, p):
     return x - slope * ax, y - slope * ay, z - slope * az
 
 
+@formula(takes=(VECTOR, F64, VECTOR), gives=(VECTOR, F64))
+def towards_light(light: Three, kind: Lanes, p: Three) -> tuple[list[Lanes], Lanes]:
+    """((unit vector from p to a light), distance); the distance of a directional light, of kind 0, is infinite.
+
+    light  its place, or the unit vector towards a directional one
+    """
+    x, y, z = (light[axis] - p[axis] for axis in range(3))
+    distance = dot((x, y, z), (x, y, z)).root()
+    scale = (distance <= 0.0).choose(0.0, 1.0 / distance)
+    endless = kind.equals(0.0)
+    towards = [endless.choose(light[axis], one * scale) for axis, one in enumerate((x, y, z))]
+    return towards, endless.choose(float("inf"), distance)
+
+
 @part
 def light_direction(lights, light, p):
     """((unit vector from p to a light), distance); the distance of a directional light is infinite."""
-    x, y, z = lights[light, LIGHT_PLACE], lights[light, LIGHT_PLACE + 1], lights[light, LIGHT_PLACE + 2]
-    if lights[light, LIGHT_KIND] == 0.0:
-        return (x, y, z), np.inf
-    x, y, z = x - p[0], y - p[1], z - p[2]
-    distance = np.sqrt(x * x + y * y + z * z)
-    scale = 1.0 / distance if distance > 0.0 else 0.0
-    return (x * scale, y * scale, z * scale), distance
+    at = (lights[light, LIGHT_PLACE], lights[light, LIGHT_PLACE + 1], lights[light, LIGHT_PLACE + 2])
+    return towards_light(at, lights[light, LIGHT_KIND], p)
 
 
 @part
@@ -160,3 +171,10 @@ def light_discs(frame, d, red, green, blue):
 def place(origin, step):
     """The numbers that lattice coordinates stand for."""
     return coordinate(origin[0], step[0]), coordinate(origin[1], step[1]), coordinate(origin[2], step[2])
+
+
+@part
+def edge_colour(frame, d):
+    """Colour of a ray that leaves the scene in direction d: the background, or the disc of a light."""
+    red, green, blue = frame.background
+    return light_discs(frame, d, red, green, blue)

@@ -11,10 +11,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from raygrid.node.geometry.grid_walk import NO_PORT, inverse, is_walking, passage, towards_start
+from raygrid.node.geometry.grid_walk import inverse, is_before_start, passage
 from raygrid.node.geometry.lattice import T_MIN
 from raygrid.node.jit.decorators import part
-from raygrid.node.protocol.packets import SHADOW, read_origin, read_u16, read_u24, unit_vector
+from raygrid.node.protocol.packets import SHADOW, read_origin, read_u16, read_u24
+from raygrid.node.protocol.packing import unit_vector
 from raygrid.node.tracing.ray_setup import NOT_AT_START
 from raygrid.node.tracing.shading import light_direction, place
 from raygrid.node.tracing.traverse import open_root
@@ -34,7 +35,7 @@ def set_up_ray(cell, space, frame, packets, at, port, kind):
         d, distance = unit_vector(read_u24(packets, at + 14), read_u24(packets, at + 17)), np.inf
     inv = (inverse(d[0]), inverse(d[1]), inverse(d[2]))
     t_in, t_out, way = passage(cell, o, inv)
-    if not is_walking(cell, origin, port) and towards_start(cell, origin) != NO_PORT:
+    if is_before_start(cell, origin, port):
         way = NOT_AT_START
     return way, o, d, inv, t_in, t_out, distance
 

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from raygrid.node.geometry.bvh_boxes import for_boxes
 from raygrid.node.geometry.grid_walk import HOST, NO_PORT, leaves_array, towards_cell, towards_start
 from raygrid.node.geometry.lattice import T_MIN
 from raygrid.node.geometry.spanning_tree import towards_corner_part
@@ -58,20 +59,13 @@ from raygrid.node.tracing.ray_setup import (
     take_root,
 )
 from raygrid.node.tracing.secondary_rays import in_full, make_shade
-from raygrid.node.tracing.shading import light_discs, normals
+from raygrid.node.tracing.shading import edge_colour, normals
 from raygrid.node.tracing.single_ray import open_root_for, set_up_ray
 from raygrid.node.tracing.step_tables import note_hit, note_ray
-from raygrid.node.tracing.traverse import Search, for_boxes, make_blocked, make_closest, meet
+from raygrid.node.tracing.traverse import Search, make_blocked, make_closest, meet
 
 # what is done with a packet, by its kind
 WALKS_ON, SHADOWS_ON, SETTLES = 0, 1, 2
-
-
-@part
-def edge_colour(frame, d):
-    """Colour of a ray that leaves the scene in direction d: the background, or the disc of a light."""
-    red, green, blue = frame.background
-    return light_discs(frame, d, red, green, blue)
 
 
 class Parts(NamedTuple):

@@ -4,7 +4,7 @@ Ties in t go to the smallest surface id, so the answer does not depend on the hi
 walk begins at the root with nothing remembered from other rays: how many boxes and surfaces it looks at is a
 function of the ray and the hierarchy, and machine time is worked out from that.
 
-The stack holds keys, time << 32 | child (`node.geometry.bvh_simd`). Leaves are put on it like inner nodes, in the order in
+The stack holds keys, time << 32 | child (`node.geometry.bvh_boxes`). Leaves are put on it like inner nodes, in the order in
 which the ray enters them.
 """
 
@@ -16,13 +16,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from raygrid.node.geometry.bvh import COUNT_MASK, COUNT_SHIFT, FIRST_MASK, LEAF_BIT, NODE_WORDS
-from raygrid.node.geometry.bvh_simd import WIDE, push_boxes
+from raygrid.node.geometry.bvh_boxes import FAREST, for_boxes, push_boxes
 from raygrid.node.geometry.intersect import MISS, cone, in_polygon, plane, sphere, triangle
 from raygrid.node.geometry.surface_tables import KIND_SHIFT, SLOT_MASK
 from raygrid.node.jit.decorators import Function, part
 from raygrid.node.protocol.counters import BOXES, TESTS
-
-FAREST = 1e18  # stands for infinite times, so that a binary32 holds them
 
 
 class Search(NamedTuple):
@@ -59,24 +57,6 @@ def meet(surfaces, kind, row, o, d, lower, upper):
 
 
 @part
-def _narrow(inverse):
-    """An inverse direction in binary32, finite."""
-    return np.float32(min(max(inverse, -FAREST), FAREST))
-
-
-@part
-def for_boxes(o, inv):
-    """(origin and inverse direction in binary32, the words of a node at which each axis' near planes begin)."""
-    ray = (np.float32(o[0]), np.float32(o[1]), np.float32(o[2]), _narrow(inv[0]), _narrow(inv[1]), _narrow(inv[2]))
-    near = (
-        np.int64(0 if inv[0] >= 0.0 else 3 * WIDE),
-        np.int64(WIDE if inv[1] >= 0.0 else 4 * WIDE),
-        np.int64(2 * WIDE if inv[2] >= 0.0 else 5 * WIDE),
-    )
-    return ray, near
-
-
-@part
 def _bits(best):
     """The upper half of the keys of boxes that are entered at `best`, or later by less than rounding can make it."""
     return np.int64(np.float32(best * (1.0 + 1e-6)).view(np.uint32))
@@ -108,7 +88,7 @@ def open_root(surfaces, keys, at, o, inv, lower, upper):
     overwritten); returns how many. There must be a root."""
     ray, near = for_boxes(o, inv)
     high = np.float32(min(upper, FAREST))
-    return push_boxes(surfaces.floats, np.int64(0), near, ray, np.float32(lower), high, keys, at)
+    return push_boxes(surfaces.floats, 0, near, ray, np.float32(lower), high, keys, at) - at
 
 
 @cache
@@ -149,7 +129,7 @@ def make_closest(meet: Function) -> Function:
             if node < 0:
                 break
             high = np.float32(min(best, FAREST))
-            met = push_boxes(surfaces.floats, node * NODE_WORDS, near, single, low, high, stack, top)
+            met = push_boxes(surfaces.floats, node * NODE_WORDS, near, single, low, high, stack, top) - top
         counts[BOXES] += opened
         return best, best_item, best_u, best_v
 
@@ -186,7 +166,7 @@ def make_blocked(meet: Function) -> Function:
                         return True
             if node < 0:
                 break
-            met = push_boxes(surfaces.floats, node * NODE_WORDS, near, single, low, high, stack, top)
+            met = push_boxes(surfaces.floats, node * NODE_WORDS, near, single, low, high, stack, top) - top
         counts[BOXES] += opened
         return False
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from reference.packing import put_ray
 
 from raygrid.node.geometry.bvh import DEPTH
 from raygrid.node.geometry.grid_walk import inverse
@@ -16,7 +17,8 @@ from raygrid.node.geometry.surfaces import SurfaceSet
 from raygrid.node.jit.decorators import kernel, part
 from raygrid.node.protocol.counters import COUNTS
 from raygrid.node.protocol.frame_tables import Frame
-from raygrid.node.protocol.packets import SIZE, pack_weight, put_ray
+from raygrid.node.protocol.packets import SIZE
+from raygrid.node.protocol.packing import pack_weight
 from raygrid.node.tracing.camera import entry, eye_ray, home, image_point
 from raygrid.node.tracing.local_geometry import build_surfaces
 from raygrid.node.tracing.traverse import blocked, closest

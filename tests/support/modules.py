@@ -188,6 +188,65 @@ def stale_cycles(modules: Modules, known: Collection[Edge]) -> list[str]:
     ]
 
 
+def past_fences(modules: Modules, fences: Mapping[str, tuple[str, ...]]) -> list[str]:
+    """The insides of a library are named only in the packages and modules that a fence lets in.
+
+    fences  the inside, a dotted name -> who may name it
+    In imports, behind the name of an imported library (`numba.core`), and in strings that an import could be made of.
+    """
+    faults = []
+    for module in modules.values():
+        named = list(_foreign_names(module.tree))
+        for inside, places in fences.items():
+            if any(f"{module.name}.".startswith(f"{place}.") for place in places):
+                continue
+            lines = {line for name, line in named if f"{name}.".startswith(f"{inside}.")}
+            faults += [
+                f"{module.name}:{line} names {inside}, which is for {' and '.join(places)}" for line in sorted(lines)
+            ]
+    return faults
+
+
+def _foreign_names(tree: ast.Module) -> Iterator[tuple[object, int]]:
+    """(dotted name, line) of everything that may be of another library."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, node.lineno) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            yield from ((f"{node.module}.{alias.name}", node.lineno) for alias in node.names)
+        elif isinstance(node, ast.Attribute):
+            yield ast.unparse(node), node.lineno
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and "." in node.value:
+            yield node.value, node.lineno  # a dotted name, if it is one
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("import_module", "__import__")):
+            yield from ((one.value, node.lineno) for one in node.args if isinstance(one, ast.Constant))
+
+
+def typed_pointers(modules: Modules) -> list[str]:
+    """Whoever writes LLVM's instructions by llvmlite gives pointers no types, and says what is read and stepped over, as
+    llvmlite is going to drop pointers that know it."""
+    return [
+        f"{module.name}:{line} {what}"
+        for module in modules.values()
+        if any(str(name).startswith("llvmlite") for name, _ in _foreign_names(module.tree))
+        for line, what in sorted(_uses_of_types(module.tree))
+    ]
+
+
+def _uses_of_types(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and node.attr in ("as_pointer", "pointee"):
+            yield node.lineno, f"uses {node.attr}"
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+            named = {keyword.arg for keyword in node.keywords}
+            if node.func.attr == "gep" and "source_etype" not in named:
+                yield node.lineno, "steps over what a pointer points to: gep without source_etype"
+            elif node.func.attr == "load" and "typ" not in named and ast.unparse(node.func.value).endswith("builder"):
+                yield node.lineno, "reads what a pointer points to: load without typ"
+            elif node.func.attr == "PointerType" and node.args:
+                yield node.lineno, "makes a pointer of a type"
+
+
 def crowded_rooms(modules: Modules, most: int) -> list[str]:
     """A package has no more than so many modules of its own."""
     sizes = Counter(name.rpartition(".")[0] for name, module in modules.items() if not module.is_package)

@@ -14,7 +14,8 @@ from raygrid.node.geometry.surfaces import Kind, merge
 from raygrid.node.protocol import packets
 from raygrid.node.protocol.frame_tables import Frame
 from raygrid.node.protocol.messages import HEAD
-from raygrid.node.protocol.packets import SIZE, Packet, octahedral, pack_weight
+from raygrid.node.protocol.packets import SIZE, Packet
+from raygrid.node.protocol.packing import octahedral, pack_weight
 from raygrid.node.tracing.step import step
 from support.driver import Grid
 from support.frames import make_frame, orthographic

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from reference import packing
 
 from raygrid.node.protocol import packets
 
@@ -23,12 +24,12 @@ def _written(put: Callable[..., Any], *fields: Any) -> bytes:
 
 def ray_bytes(kind: int, depth: int, sample: int, origin: Cell, codes: tuple[int, int], weight: int) -> bytes:
     """A primary, reflected or refracted ray; direction as codes, weight as 40 bits."""
-    return _written(packets.put_ray, kind, depth, sample, origin, codes, weight)
+    return _written(packing.put_ray, kind, depth, sample, origin, codes, weight)
 
 
 def shadow_bytes(depth: int, sample: int, origin: Cell, light: int, weights: tuple[float, float, float]) -> bytes:
     """A shadow ray."""
-    return _written(packets.put_shadow, depth, sample, origin, light, weights)
+    return _written(packing.put_shadow, depth, sample, origin, light, weights)
 
 
 def return_bytes(depth: int, sample: int, intensity: tuple[float, float, float], home: Cell) -> bytes:

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from raygrid.emulator.processes.warm import tiny_frame as one_frame
 from raygrid.node.geometry.lattice import LATTICE, make_cell, make_space
 from raygrid.node.protocol.frame_tables import LIGHT_COLUMNS, LIGHT_KIND, LIGHT_PLACE
-from raygrid.node.protocol.packets import HALF_DIRECTION
+from raygrid.node.protocol.packing import HALF_DIRECTION
 
 STEPS = (2.0**-24, 1.5 * 2.0**-25, 2.0**-26)
 PLANES = [[0, LATTICE // 3, LATTICE], [0, 777, 5_000_000, LATTICE], [0, LATTICE]]

@@ -115,6 +115,7 @@ class SmallKernels:
 
     def copy_to(self, other: SmallKernels) -> None:
         """Let another cache hold what this one does; where files are kept depends on where the module is."""
+        shutil.copystat(self._folder / "small.py", other._folder / "small.py")  # numba may look how old a source is
         for directory in self.cache.glob("kernels-*/*"):
             target = other.cache / directory.parent.name / self._place(directory.name, other)
             shutil.copytree(directory, target)

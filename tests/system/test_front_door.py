@@ -59,7 +59,9 @@ def test_one_target_checks_all():
 
 def test_a_forge_calls_the_same_target_on_the_oldest_and_newest_python():
     job = (ROOT / ".github" / "workflows" / "check.yml").read_text()
-    assert re.findall(r"- run: (.*)", job) == ["make check"]
+    assert re.findall(r"- run: (.*)", job) == ["make check", "make ${{ matrix.target }}"]
+    assert re.findall(r"target: \[(.*)\]", job) == ["check-oldest, check-newest"]
+    assert {"check-oldest", "check-newest"} <= TARGETS
     python = "Programming Language :: Python :: "
     known = [known.removeprefix(python) for known in PROJECT["classifiers"] if known.startswith(python)]
     assert re.findall(r'python: \["(.*)", "(.*)"\]', job) == [(known[0], known[-1])]

@@ -14,9 +14,11 @@ from support.modules import (
     cycles,
     packages_that_say_nothing,
     past_faces,
+    past_fences,
     read_modules,
     relative_imports,
     stale_cycles,
+    typed_pointers,
     unknown_imports,
     unused_openings,
     wrong_layers,
@@ -27,7 +29,7 @@ MODULES = read_modules(ROOT)
 CHAINS = {  # a package imports itself and those to its left
     layer: tuple(chain.split(" < "))
     for layer, chain in {
-        "node": "errors < remarks < jit < geometry < protocol < tracing < links < programs < runtime < timed < main",
+        "node": "faces < errors < remarks < jit < geometry < protocol < tracing < links < programs < runtime < timed < main",
         "emulator": "topology < partition < driver < processes < simulator < analysis",
         "host": "text < files < image < scene < render < machine_time < export < client < journal < probes < service"
         " < cli < facade",
@@ -35,12 +37,13 @@ CHAINS = {  # a package imports itself and those to its left
 }
 OPEN = {  # modules that other layers may import as they are
     "node.errors": "all raise them",
+    "node.faces": "each package makes its face by it",
     "node.remarks": "all make them",
     "node.main": "a module of the layer itself, so its own face",
     "node.geometry.spanning_tree": "preloaded by its module's name",
-    "node.jit.cache": "preloaded by its module's name",
+    "node.jit.cache": "where kernels are kept is a fact of the module, which changes while a program is compiled",
     "node.jit.fast_load": "what `raygrid doctor` asks of it nobody else needs",
-    "node.jit.trusted_files": "`raygrid doctor` asks it of a cache that is not there yet",
+    "node.jit.target": "what `raygrid doctor` asks of it nobody else needs",
     "node.links.zmq_channel": "preloaded by its module's name",
     "node.runtime.profile": "preloaded by its module's name",
     "node.tracing.step": "the module's main function has its name, which a face could not give",
@@ -52,6 +55,11 @@ OPEN = {  # modules that other layers may import as they are
 KNOWN_CYCLES: dict[
     tuple[str, str], str
 ] = {}  # an import that closes one -> why it is still there; empty is what we want
+FENCES = {  # insides of libraries, which change without notice -> who may know them
+    "llvmlite": ("node.jit",),
+    "numba.core": ("node.jit",),
+    "zmq.backend": ("node.links.zmq_c_api",),
+}
 MOST_MODULES = 20
 
 RULES = {
@@ -63,6 +71,8 @@ RULES = {
     "open modules that are not used": partial(unused_openings, open_modules=OPEN),
     "cycles": partial(cycles, without=KNOWN_CYCLES),
     "known cycles that are gone": partial(stale_cycles, known=KNOWN_CYCLES),
+    "fences": partial(past_fences, fences=FENCES),
+    "pointers without types": typed_pointers,
     "room": partial(crowded_rooms, most=MOST_MODULES),
     "what packages say": packages_that_say_nothing,
 }
@@ -85,7 +95,7 @@ def test_the_tree_is_read_whole():
 
 # --- each rule sees what is wrong ---------------------------------------------------------------------------
 
-FACE = "import lazy_loader\n"
+FACE = "from raygrid.node.faces import face\n"
 PLANTED = {  # rule -> (files, what it says of them)
     "relative imports": (
         {"node/links/link.py": "def f():\n    from ..jit import kernel\n"},
@@ -132,12 +142,41 @@ PLANTED = {  # rule -> (files, what it says of them)
     ),
     "cycles": (
         {
-            "node/jit/cache.py": "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from raygrid.node.jit import simd\n",
-            "node/jit/simd.py": "def f():\n    from raygrid.node.jit.decorators import part\n",
+            "node/jit/cache.py": "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from raygrid.node.jit import lanes\n",
+            "node/jit/lanes.py": "def f():\n    from raygrid.node.jit.decorators import part\n",
             "node/jit/decorators.py": "import raygrid.node.jit.cache\n",
             "node/jit/trusted_files.py": "import raygrid.node.jit.cache\n",
         },
-        ["node.jit.cache node.jit.decorators node.jit.simd import each other"],
+        ["node.jit.cache node.jit.decorators node.jit.lanes import each other"],
+    ),
+    "fences": (
+        {
+            "node/jit/cache.py": "from numba.core import config\nimport llvmlite\n",
+            "node/links/zmq_c_api.py": "INNER = 'zmq.backend.cython._zmq'\nimport numba.core\n",
+            "node/links/link.py": "import zmq\ndef f():\n    import zmq.backend.cython\n    return zmq.backend\n",
+            "node/timed/lookahead.py": "import numba\nevent = numba.core.event\nfrom numba import core, corelib\n",
+            "host/cli/trace.py": "from llvmlite import ir\nx = __import__('llvmlite')\nNAMES = 'llvmlite', 'numba'\n",
+        },
+        ["node.links.link:3 names zmq.backend, which is for node.links.zmq_c_api",
+         "node.links.link:4 names zmq.backend, which is for node.links.zmq_c_api",
+         "node.links.zmq_c_api:2 names numba.core, which is for node.jit",
+         "node.timed.lookahead:2 names numba.core, which is for node.jit",
+         "node.timed.lookahead:3 names numba.core, which is for node.jit",
+         "host.cli.trace:1 names llvmlite, which is for node.jit",
+         "host.cli.trace:2 names llvmlite, which is for node.jit"],
+    ),
+    "pointers without types": (
+        {
+            "node/jit/intrinsics.py": "from llvmlite import ir\nx = ir.IntType(8).as_pointer()\nb = x.type.pointee\n"
+            "builder.gep(a, [b])\nbuilder.gep(a, [b], source_etype=x)\nself._builder.load(a)\nbuilder.load(a, typ=x)\n"
+            "ir.PointerType(x)\nir.PointerType()\n",
+            "node/jit/cache.py": "pickle.load(file)\nx.as_pointer()\n",
+        },
+        ["node.jit.intrinsics:2 uses as_pointer",
+         "node.jit.intrinsics:3 uses pointee",
+         "node.jit.intrinsics:4 steps over what a pointer points to: gep without source_etype",
+         "node.jit.intrinsics:6 reads what a pointer points to: load without typ",
+         "node.jit.intrinsics:8 makes a pointer of a type"],
     ),
     "room": (
         {f"node/jit/kind_{number}.py": "" for number in range(MOST_MODULES + 1)},
@@ -180,6 +219,13 @@ def test_what_is_listed_and_no_longer_so_is_seen(tmp_path):
         ("import raygrid.host.cli.main", {"numpy", "numba", "zmq", "trimesh", "pydantic", "PIL"}),
         ("import raygrid.host.cli.commands.render", {"numpy", "numba", "zmq", "trimesh", "pydantic", "PIL"}),
         ("import raygrid.emulator.processes.fork_server", {"raygrid.host", "trimesh", "pydantic", "PIL"}),
+        # the front end drives nodes, and traces no ray: the kernels of a node cost it a tenth of a short command
+        (
+            "import raygrid.host.render.frame, raygrid.host.render.session\n"
+            "from raygrid.emulator.driver import Driver\n"
+            "from raygrid.node.tracing import add_missed",
+            {"raygrid.node.tracing.step", "raygrid.node.runtime.event_loop", "raygrid.node.runtime.node_state"},
+        ),
     ],
 )
 def test_nothing_heavy_is_imported_unasked(program, absent):

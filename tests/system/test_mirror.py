@@ -34,10 +34,12 @@ TESTED_ELSEWHERE: dict[str, dict[str, str]] = {
         "emulator.partition.kernels": "emulator/partition/test_split.py",
         "emulator.simulator.kernels": "emulator/simulator/test_simulator.py",
         "node.runtime.profile_kernel": "node/runtime/test_profile.py",
-        "node.geometry.bvh_simd": "node/geometry/test_bvh.py",
+        "node.geometry.bvh_boxes": "node/geometry/test_bvh.py",
         "node.jit.code_types": "node/tracing/test_spawn.py",
-        "node.jit.intrinsics": "node/protocol/test_packets.py",
-        "node.jit.simd": "node/tracing/test_ray_setup.py",
+        "node.jit.lanes": "node/jit/test_formula.py",
+        "node.jit.lanes_llvm": "node/jit/test_formula.py",
+        "node.jit.lanes_numpy": "node/jit/test_formula.py",
+        "node.protocol.packing": "node/protocol/test_packets.py",
         "node.programs.hooks": "node/programs/test_programs.py",
         "node.runtime.native_links": "node/runtime/test_event_loop.py",
         "node.timed.service_clock": "node/timed/test_timed_processor.py",
@@ -63,6 +65,7 @@ TESTED_ELSEWHERE: dict[str, dict[str, str]] = {
         "node.geometry.rigid_motion": "node/geometry/test_bvh_refit.py",
         "node.geometry.surfaces": "node/protocol/test_messages.py",
         "node.jit.decorators": "node/jit/test_cache.py",
+        "node.jit.target": "host/cli/test_doctor_facts.py",
         "node.jit.trusted_files": "node/jit/test_cache.py",
         "node.links.memory_channel": "node/links/test_link.py",
         "node.links.zmq_channel": "node/links/test_link.py",
@@ -251,7 +254,7 @@ def small(tmp_path):
     """Two modules, the first of which has its tests, and tests in a room that there is not."""
     for name in (
         "node/jit/cache.py",
-        "node/jit/simd.py",
+        "node/jit/lanes.py",
         "tests/node/jit/test_cache.py",
         "tests/node/attic/test_old.py",
     ):
@@ -263,17 +266,17 @@ def small(tmp_path):
 
 def test_each_check_sees_what_is_wrong(small):
     names, tests = small
-    assert untested(names, tests, {}) == ["node.jit.simd has no tests/node/jit/test_simd.py"]
-    listed = {"reason": {"node.jit.simd": "node/jit/test_cache.py"}}
+    assert untested(names, tests, {}) == ["node.jit.lanes has no tests/node/jit/test_lanes.py"]
+    listed = {"reason": {"node.jit.lanes": "node/jit/test_cache.py"}}
     assert untested(names, tests, listed) == stale(names, tests, listed) == []
     wrong = {
         "node.jit.cache": "system/test_a.py",
-        "node.jit.simd": "system/test_a.py",
+        "node.jit.lanes": "system/test_a.py",
         "node.sieve": "system/test_a.py",
     }
     assert stale(names, tests, {"reason": wrong}) == [
         "node.jit.cache is listed, and has tests/node/jit/test_cache.py",
-        "node.jit.simd is listed with tests/system/test_a.py, which is not there",
+        "node.jit.lanes is listed with tests/system/test_a.py, which is not there",
         "node.sieve is listed, and not there",
     ]
     assert strays(names, tests) == ["tests/node/attic/test_old.py lies in no room"]

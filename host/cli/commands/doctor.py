@@ -28,7 +28,7 @@ class DoctorFacts(TypedDict):
     """All that is found.
 
     problems  what would stop a small array, and what helps; a sentence each
-    advice    what would make it slower, and what helps
+    advice    what would make it slower or less able, and what helps
     """
 
     system: str
@@ -84,7 +84,7 @@ def examine() -> DoctorFacts:
         "extras": doctor_facts.read_extras(),
         "environment": doctor_facts.read_environment(),
         "problems": problems,
-        "advice": [*_slow(paths), *_not_kept(cache)],
+        "advice": [*_untried(versions), *_slow(paths), *_not_kept(cache), *_no_films(places)],
     }
 
 
@@ -92,11 +92,16 @@ def _stops(paths: dict[str, FastPath] | None, places: LocationFacts) -> Iterator
     """What keeps an array from running, and what helps."""
     if paths is not None and not paths["compiled kernels"]["on"]:
         yield f"kernels run compiled only, and {paths['compiled kernels']['why']}: unset it"
-    if places["temporary"] is None:
-        yield "no temporary directory can be written: set TMPDIR to one that can"
-    elif None not in places["sockets"].values():
+    if None not in places["sockets"].values():
         tried = ", ".join(f"{base} ({why})" for base, why in places["sockets"].items())
         yield f"no directory for sockets ({tried}): set XDG_RUNTIME_DIR to one that is short, and yours alone"
+
+
+def _untried(versions: dict[str, str | None]) -> Iterator[str]:
+    """Which libraries are older or newer than those that raygrid was tried with, and what helps."""
+    for name, wanted in doctor_facts.read_misfits().items():
+        have = versions.get(name) or "another version"
+        yield f"{name}: {have}, with which this raygrid was not tried: pip install '{name}{wanted}'"
 
 
 def _slow(paths: dict[str, FastPath] | None) -> Iterator[str]:
@@ -122,6 +127,12 @@ def _not_kept(cache: CacheFacts | None) -> Iterator[str]:
         yield f"kernels that the cache lacks cannot be kept, and each run compiles them anew: {REMEDY}"
     elif cache["why"]:
         yield f"kernels are not kept in the usual place: {REMEDY}, or mend it"
+
+
+def _no_films(places: LocationFacts) -> Iterator[str]:
+    """What keeps frames from being put together, and what helps."""
+    if places["temporary"] is None:
+        yield "no temporary directory can be written, and .gif, .webp and .mp4 of several frames need one: set TMPDIR"
 
 
 # --- text --------------------------------------------------------------------------------------------
@@ -202,7 +213,7 @@ def _left(name: str, one: LimitFacts) -> str:
 
 def _place_lines(places: LocationFacts) -> Iterator[str]:
     sockets = [f"{base} ({why or 'usable'})" for base, why in places["sockets"].items()]
-    yield from _entry("sockets in", ", else ".join(sockets) or "nowhere")
+    yield from _entry("sockets in", ", else ".join(sockets))
     ffmpeg = places["ffmpeg"] or "not found, so no .mp4"
     yield from _entry("temporary", f"{places['temporary'] or 'no directory can be written'}; ffmpeg: {ffmpeg}")
 

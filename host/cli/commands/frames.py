@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from raygrid.emulator.processes import Array
 from raygrid.host.cli.commands.render_request import RenderRequest
@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from raygrid.host.scene.scene import Scene
 
 
-@dataclass(frozen=True)
-class _AskedFrames:
+class _AskedFrames(NamedTuple):
     """Frames of an animation: the scene on its turntable if it has one, a digest of its files, and their numbers."""
 
     scene: Scene

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from raygrid.emulator.processes import Array
 from raygrid.host.cli.progress import ProgressReporter
@@ -16,8 +15,7 @@ if TYPE_CHECKING:
     from raygrid.node.links import FaultPlan
 
 
-@dataclass(frozen=True)
-class RenderRequest:
+class RenderRequest(NamedTuple):
     """What the command line asks for.
 
     scene     path of the scene

@@ -191,6 +191,28 @@ def test_with_a_long_temporary_directory_too_tmp_is_taken(monkeypatch, tmp_path)
         assert os.path.dirname(place.path) == os.path.realpath("/tmp")
 
 
+def no_temporary_directory() -> str:
+    raise FileNotFoundError(2, "No usable temporary directory found")
+
+
+def test_without_any_temporary_directory_the_runtime_directory_will_do(monkeypatch, no_leftovers):
+    monkeypatch.setattr(tempfile, "gettempdir", no_temporary_directory)
+    with SocketDirectory.create((2, 2, 2)) as place:
+        assert os.path.dirname(place.path) == no_leftovers
+
+
+def test_without_any_directory_at_all_one_sentence_says_so(monkeypatch):
+    monkeypatch.setattr(tempfile, "gettempdir", no_temporary_directory)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/nowhere")
+    monkeypatch.setattr(socket_directory, "_unsafe", lambda _base, _status: "not writable")
+    with pytest.raises(ArrayError) as error:
+        SocketDirectory.create((2, 2, 2))
+    assert str(error.value) == (
+        f"no directory for the sockets of the array: /nowhere (No such file or directory), {os.path.realpath('/tmp')} "
+        "(not writable); wanted one that is ours or sticky, can be written, and is short: set XDG_RUNTIME_DIR or TMPDIR"
+    )
+
+
 def test_a_long_path_is_told_with_its_length(monkeypatch, tmp_path):
     long = tmp_path / ("l" * 100)
     long.mkdir()

@@ -20,6 +20,8 @@ from raygrid.host.cli import doctor_facts
 from raygrid.node.jit import cache, fast_load, trusted_files
 from raygrid.node.links import zmq_c_api
 
+pytestmark = pytest.mark.usefixtures("fast_paths_on")
+
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 PLENTY = Resources(*(Bound(UNLIMITED, "no limit") for _ in range(4)))
 
@@ -52,6 +54,31 @@ def test_a_library_that_is_not_installed_has_no_version(monkeypatch):
     assert doctor_facts.read_versions()["no-such-library"] is None
 
 
+@pytest.mark.parametrize(
+    ("version", "bounds", "fits"),
+    [
+        ("0.62.0", ">=0.62,<0.69", True),
+        ("0.68.1", ">=0.62,<0.69", True),
+        ("0.69.0", ">=0.62,<0.69", False),
+        ("0.69.0rc1", ">=0.62,<0.69", False),
+        ("0.7", ">=0.62", False),
+        ("10.3", ">=9.10", True),
+        ("26.0.0", ">=26.0", True),
+        ("1.1.post2", ">=1.1,<2", True),
+    ],
+)
+def test_whether_a_version_was_tried(version, bounds, fits):
+    assert doctor_facts._fits(version, bounds) == fits
+
+
+def test_libraries_that_were_not_tried_are_told_with_what_was(monkeypatch):
+    assert doctor_facts.read_misfits() == {}
+    wanted = ["numba<0.69,>=0.62", "click>=8.1.7", "no-such>=3", 'pytest>=99; extra == "test"']
+    monkeypatch.setattr(doctor_facts.metadata, "requires", lambda _: wanted)
+    monkeypatch.setattr(doctor_facts, "_version", lambda name: None if name == "no-such" else "0.70.1")
+    assert doctor_facts.read_misfits() == {"numba": "<0.69,>=0.62", "click": ">=8.1.7"}
+
+
 def test_a_library_that_cannot_be_imported_is_told_with_why(monkeypatch):
     monkeypatch.setitem(sys.modules, "xxhash", None)
     assert list(doctor_facts.read_faults()) == ["xxhash"]
@@ -59,10 +86,10 @@ def test_a_library_that_cannot_be_imported_is_told_with_why(monkeypatch):
 
 
 def test_variables_that_are_set_are_told(monkeypatch):
-    monkeypatch.setenv("RAYGRID_LINKS", "python")
+    monkeypatch.setenv("RAYGRID_NATIVE_LINKS", "0")
     monkeypatch.setenv("UNRELATED", "x")
     found = doctor_facts.read_environment()
-    assert found["RAYGRID_LINKS"] == "python"
+    assert found["RAYGRID_NATIVE_LINKS"] == "0"
     assert "UNRELATED" not in found
 
 
@@ -70,9 +97,9 @@ def test_variables_that_are_set_are_told(monkeypatch):
 
 
 def test_links_served_by_python_are_told_with_why(monkeypatch):
-    monkeypatch.setattr(zmq_c_api, "_look_for_functions", lambda: (None, "RAYGRID_LINKS=python asks for it"))
+    monkeypatch.setattr(zmq_c_api, "_look_for_functions", lambda: (None, "RAYGRID_NATIVE_LINKS=0 asks for it"))
     found = doctor_facts.read_fast_paths()["native links"]
-    assert (found["on"], found["why"]) == (False, "RAYGRID_LINKS=python asks for it")
+    assert (found["on"], found["why"]) == (False, "RAYGRID_NATIVE_LINKS=0 asks for it")
 
 
 @pytest.mark.parametrize(
@@ -114,7 +141,7 @@ def test_the_width_of_vectors(monkeypatch, features, bits, on):
 
 
 def place(base: Path) -> Path:
-    return base / f"kernels-{cache._digest()}"
+    return base / f"kernels-{cache.digest()}"
 
 
 def shared(base: Path) -> Path:
@@ -150,7 +177,7 @@ BASES = {  # how it stands -> a base of that kind below a directory
 def test_the_place_is_the_one_that_the_next_run_takes(kind, tmp_path, monkeypatch):
     """Told before it is there and after; and looking makes nothing."""
     bases = [BASES[kind](tmp_path), tmp_path / "second"]
-    monkeypatch.setattr(cache, "_bases", lambda: iter(bases))
+    monkeypatch.setattr(cache, "bases", lambda: iter(bases))
     before = sorted(tmp_path.rglob("*"))
     expected = doctor_facts.read_cache()
     assert sorted(tmp_path.rglob("*")) == before
@@ -176,7 +203,7 @@ def test_a_cache_that_cannot_be_written(tmp_path, monkeypatch):
 
 
 def test_nowhere_to_keep_kernels(tmp_path, monkeypatch):
-    monkeypatch.setattr(cache, "_bases", lambda: iter([tmp_path / "one", tmp_path / "two"]))
+    monkeypatch.setattr(cache, "bases", lambda: iter([tmp_path / "one", tmp_path / "two"]))
     monkeypatch.setattr(os, "access", lambda *_arguments, **_options: False)
     found = doctor_facts.read_cache()
     assert found["directory"] is None
@@ -271,8 +298,10 @@ def test_no_temporary_directory_at_all(monkeypatch):
         raise FileNotFoundError("No usable temporary directory found")
 
     monkeypatch.setattr(tempfile, "gettempdir", none)
-    assert doctor_facts.read_places()["temporary"] is None
-    assert doctor_facts.read_places()["sockets"] == {}
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/nowhere")
+    found = doctor_facts.read_places()
+    assert found["temporary"] is None
+    assert list(found["sockets"]) == ["/nowhere", os.path.realpath("/tmp")]
 
 
 def test_without_ffmpeg(monkeypatch, tmp_path):

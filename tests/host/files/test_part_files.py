@@ -31,6 +31,14 @@ def afresh(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
 
 
+def test_without_a_temporary_directory_there_is_nothing_to_sweep(monkeypatch):
+    def none() -> str:
+        raise FileNotFoundError("No usable temporary directory found")
+
+    monkeypatch.setattr("tempfile.gettempdir", none)
+    part_files.sweep_folders()
+
+
 def other(folder, end):
     """Another process that has begun to write; how it goes on."""
     command = [sys.executable, "-c", KILLED.format(end), str(folder)]

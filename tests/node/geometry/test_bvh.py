@@ -29,7 +29,7 @@ from raygrid.node.geometry.bvh import (
     LEAF_BIT,
     build,
 )
-from raygrid.node.geometry.bvh_simd import CHILD_COLUMN, WIDE
+from raygrid.node.geometry.bvh_boxes import CHILD_COLUMN, WIDE
 from raygrid.node.geometry.lattice import T_MIN
 from raygrid.node.geometry.surfaces import Batch, Kind, SurfaceSet, merge
 

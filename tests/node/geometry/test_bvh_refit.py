@@ -11,8 +11,8 @@ from support.space import EVEN_STEP, even_space
 from support.surfaces import batch, random_rows, shuffled_ids
 
 from raygrid.node.geometry.bvh import INFLATE, build
+from raygrid.node.geometry.bvh_boxes import WIDE
 from raygrid.node.geometry.bvh_refit import WORSE, expected_cost, refitted
-from raygrid.node.geometry.bvh_simd import WIDE
 from raygrid.node.geometry.lattice import make_cell
 from raygrid.node.geometry.rigid_motion import at_rest, make_groups, placed
 from raygrid.node.geometry.surfaces import Kind

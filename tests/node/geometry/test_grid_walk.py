@@ -36,7 +36,7 @@ from raygrid.node.geometry.lattice import (
     make_space,
     nearest,
 )
-from raygrid.node.protocol.packets import HALF_DIRECTION, unit_vector
+from raygrid.node.protocol.packing import HALF_DIRECTION, unit_vector
 
 Vector = tuple[float, float, float]
 Hop = tuple[Index, float, float, int]  # cell, t_in, t_out, exit port

@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
-from raygrid.node.geometry.lattice import HALF, LATTICE, LONGEST_STEP, SLOW, beside_ray, coordinate
+from raygrid.node.geometry.lattice import HALF, LATTICE, LONGEST_STEP, SLOW, coordinate
+from raygrid.node.geometry.lattice import beside_ray as staged
+from raygrid.node.jit.formula import formula
+from raygrid.node.jit.lanes import LATTICE_POINT, VECTOR
 from raygrid.node.tracing.camera import TRIES
 
 STEPS = {
@@ -13,6 +16,12 @@ STEPS = {
     "flat": (1e-4 / HALF, 0.8 / HALF, 0.5 / HALF),
 }
 AXES = [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.6, 0.0, -0.8), (0.0, 0.0, -1.0)]
+
+
+def beside_ray(step, start, way, tries):
+    """`lattice.beside_ray` of plain numbers."""
+    run = formula(takes=(VECTOR, VECTOR, VECTOR), gives=LATTICE_POINT)(lambda *given: staged(*given, tries))
+    return run(step, start, way)
 
 
 def ways(rng, count):

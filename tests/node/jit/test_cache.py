@@ -21,6 +21,8 @@ from raygrid.node.jit import cache
 from raygrid.node.jit.cache import SEALED, read_sealed, write_sealed
 from raygrid.node.jit.trusted_files import why_not_trusted
 
+pytestmark = pytest.mark.usefixtures("fast_paths_on")
+
 OURS = ["double", "doubled", "total"]
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files away")
 
@@ -295,7 +297,7 @@ def node_copy(tmp_path):
 
 def test_every_module_of_every_package_is_in_the_digest(node_copy, monkeypatch):
     monkeypatch.setattr(cache, "_SOURCES", node_copy)
-    before = cache._digest()
+    before = cache.digest()
     assert {name.partition("/")[0] for name in NODE_FILES} >= {
         "geometry",
         "jit",
@@ -308,11 +310,11 @@ def test_every_module_of_every_package_is_in_the_digest(node_copy, monkeypatch):
         path = node_copy / name
         text = path.read_bytes()
         path.write_bytes(text + b"#")
-        assert cache._digest() != before, f"a change of node/{name} leaves old machine code in use"
+        assert cache.digest() != before, f"a change of node/{name} leaves old machine code in use"
         path.write_bytes(text)
-    assert cache._digest() == before
+    assert cache.digest() == before
     (node_copy / "tracing" / "step.py").rename(node_copy / "geometry" / "step.py")
-    assert cache._digest() != before  # a module that has moved, too
+    assert cache.digest() != before  # a module that has moved, too
 
 
 def test_no_old_machine_code_runs_after_a_change_in_another_package(node_copy):

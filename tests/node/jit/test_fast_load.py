@@ -13,6 +13,8 @@ from support.small_kernels import BOTH, WANTED, SmallKernels
 from raygrid.host.render.import_block import hidden
 from raygrid.node.jit.fast_load import can_load_alone
 
+pytestmark = pytest.mark.usefixtures("fast_paths_on")
+
 AN_ERROR = """
 def told(values):
     try:
@@ -101,6 +103,16 @@ def test_of_another_numba_kernels_are_cached_by_numba_alone(run_again, before):
 def test_runtime_statistics_are_left_to_numba(run):
     assert run(NUMBA_NRT_STATS="1")["result"] == WANTED
     assert run(NUMBA_NRT_STATS="1")["ready"] > 0
+
+
+def test_by_request_numba_loads_the_same_files_by_its_own_means(run):
+    first = run(RAYGRID_FAST_LOAD="0")
+    assert first["result"] == WANTED
+    assert first["compiled"] == ["double", "doubled", "total"]
+    assert run() == {"result": WANTED, "ready": 0, "compiled": []}
+    again = run(RAYGRID_FAST_LOAD="0")
+    assert (again["result"], again["compiled"]) == (WANTED, [])
+    assert again["ready"] > 0
 
 
 def test_without_a_directory_of_ours_numba_chooses_one(run):

@@ -13,10 +13,10 @@ from support.packets import pixel_bytes, ray_bytes, return_bytes, rewritten, row
 
 from raygrid.node.errors import PacketError
 from raygrid.node.geometry.lattice import LATTICE
-from raygrid.node.protocol import packets
-from raygrid.node.protocol.packets import FAULTS, HALF_DIRECTION, SIZE, Packet, PacketKind, PacketLimits
+from raygrid.node.protocol import packets, packing
+from raygrid.node.protocol.packets import FAULTS, SIZE, Packet, PacketKind, PacketLimits
 
-H = HALF_DIRECTION
+H = packing.HALF_DIRECTION
 LAST = LATTICE - 1
 EVERYTHING = PacketLimits(packets.MAX_SAMPLES, packets.MAX_SAMPLES, packets.MAX_LIGHTS, 31, (65536, 65536, 65536))
 SMALL = PacketLimits(samples=400, pixels=100, lights=2, depth=5, shape=(4, 3, 2))
@@ -213,32 +213,32 @@ fractions = st.floats(0.0, 1.0)
 @given(weights, fractions, fractions, st.permutations([0, 1, 2]))
 def test_ray_weights_are_off_by_less_than_a_2047th_of_the_largest(largest, one, other, order):
     exact = [(largest, largest * one, largest * other)[k] for k in order]
-    rounded = packets.unpack_weight(packets.pack_weight(*exact))
+    rounded = packets.unpack_weight(packing.pack_weight(*exact))
     assert all(abs(a - b) * 2047 < largest for a, b in zip(exact, rounded, strict=True))
-    assert packets.unpack_weight(packets.pack_weight(*rounded)) == rounded
+    assert packets.unpack_weight(packing.pack_weight(*rounded)) == rounded
 
 
 def test_ray_weights_at_the_ends_of_their_range():
-    assert packets.unpack_weight(packets.pack_weight(0.0, 0.0, 0.0)) == (0.0, 0.0, 0.0)
-    assert packets.unpack_weight(packets.pack_weight(2.0**-75, 0.0, 0.0)) == (2.0**-74, 0.0, 0.0)
-    assert packets.unpack_weight(packets.pack_weight(2.0**-75.01, 0.0, 0.0)) == (0.0, 0.0, 0.0)
+    assert packets.unpack_weight(packing.pack_weight(0.0, 0.0, 0.0)) == (0.0, 0.0, 0.0)
+    assert packets.unpack_weight(packing.pack_weight(2.0**-75, 0.0, 0.0)) == (2.0**-74, 0.0, 0.0)
+    assert packets.unpack_weight(packing.pack_weight(2.0**-75.01, 0.0, 0.0)) == (0.0, 0.0, 0.0)
     for value in (2.0**64, 1e300, math.inf):
-        assert packets.unpack_weight(packets.pack_weight(value, 0.0, 2.0**63)) == (LARGEST, 0.0, 2.0**63)
+        assert packets.unpack_weight(packing.pack_weight(value, 0.0, 2.0**63)) == (LARGEST, 0.0, 2.0**63)
     # mantissa 2047.5 rounds up into the next exponent
-    assert packets.unpack_weight(packets.pack_weight(2047.5, 0.0, 1.0)) == (2048.0, 0.0, 2.0)
+    assert packets.unpack_weight(packing.pack_weight(2047.5, 0.0, 1.0)) == (2048.0, 0.0, 2.0)
 
 
 @steady(1000)
 @given(st.floats(2.0**-126, 2.0**128 * (1 - 2.0**-24)))
 def test_shadow_weights_are_off_by_less_than_a_130000th(value):
-    rounded = float(packets.unpack_shadow_weight(packets.pack_shadow_weight(value)))
+    rounded = float(packets.unpack_shadow_weight(packing.pack_shadow_weight(value)))
     assert abs(rounded - value) * 130000 < value
-    assert packets.unpack_shadow_weight(packets.pack_shadow_weight(rounded)) == rounded
+    assert packets.unpack_shadow_weight(packing.pack_shadow_weight(rounded)) == rounded
 
 
 def test_shadow_weights_at_the_ends_of_their_range():
     def sent(value):
-        return float(packets.unpack_shadow_weight(packets.pack_shadow_weight(value)))
+        return float(packets.unpack_shadow_weight(packing.pack_shadow_weight(value)))
 
     assert sent(0.0) == sent(-1.0) == sent(math.nan) == sent(2.0**-150) == 0.0
     assert sent(2.0**-143 * 1.001) == 2.0**-142
@@ -262,9 +262,9 @@ def test_directions_are_off_by_less_than_their_bound(vector):
     if length < 1e-100:
         return
     exact = np.array(vector) / length
-    codes = packets.octahedral(*vector)
+    codes = packing.octahedral(*vector)
     assert all(0 <= code <= 2 * H for code in codes)
-    rounded = np.array(packets.unit_vector(*codes))
+    rounded = np.array(packing.unit_vector(*codes))
     chord = float(np.linalg.norm(rounded - exact))
     assert 2.0 * math.asin(chord / 2.0) < 4.25 * 2.0**-24
     assert abs(float(np.linalg.norm(rounded)) - 1.0) < 1e-15
@@ -276,15 +276,15 @@ def test_directions_are_off_by_less_than_their_bound(vector):
 def test_rays_parallel_to_an_axis_are_exact(axis, sign):
     vector = np.zeros(3)
     vector[axis] = sign * 0.37
-    np.testing.assert_array_equal(packets.unit_vector(*packets.octahedral(*vector)), np.sign(vector))
+    np.testing.assert_array_equal(packing.unit_vector(*packing.octahedral(*vector)), np.sign(vector))
 
 
 @steady(1000)
 @given(st.integers(0, 2 * H), st.integers(0, 2 * H))
 def test_a_direction_that_is_sent_again_stays_the_same(a, b):
     """Codes on the rim of the octahedron's square have a twin; the vector is the same."""
-    vector = packets.unit_vector(a, b)
-    again = packets.unit_vector(*packets.octahedral(*vector))
+    vector = packing.unit_vector(a, b)
+    again = packing.unit_vector(*packing.octahedral(*vector))
     np.testing.assert_allclose(again, vector, rtol=0, atol=1e-15)
 
 

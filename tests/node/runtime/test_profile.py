@@ -12,24 +12,20 @@ from raygrid.host.cli.profile_table import profile_table
 from raygrid.host.render.frame import render_job
 from raygrid.host.render.job import Settings, make_job
 from raygrid.host.scene.load import load_scene
-from raygrid.node.runtime.profile import Profile
 from raygrid.node.runtime.profile_parts import PARTS
 
 SCENE = paths.SCENES / "kinds.nff"
 
 
 def rendered(shape, profiled):
-    array = MemoryArray(shape)
-    profiles = [Profile(processor) for processor in array.processors] if profiled else []
+    array = MemoryArray(shape, profile=profiled)
     array.driver.ready()
     job = make_job(load_scene(SCENE), shape, Settings(size=(96, 96)))
-    picture = render_job(array.driver, job)
-    assert len(profiles) in (0, len(array.processors))
-    return picture
+    return render_job(array.driver, job)
 
 
 def test_the_parts_are_those_of_the_work_and_the_picture_is_the_same():
-    bare, seen = rendered((2, 1, 1), False), rendered((2, 1, 1), True)
+    bare, seen = rendered((2, 1, 1), profiled=False), rendered((2, 1, 1), profiled=True)
     assert np.array_equal(bare.sums, seen.sums)
     for node, plain in zip(seen.stats["nodes"], bare.stats["nodes"], strict=True):
         seconds = node["profile"]

@@ -52,7 +52,7 @@ LOW, HIGH = 0, 1  # ports of the node in the middle: to its parent, and to its o
 PEERS = {LOW: (0, 0, 0), HIGH: (2, 0, 0)}
 TURNS = 2000  # after so many a node is taken to hang
 LONG = 10 * 10**9  # nanoseconds, longer than any test
-pytestmark = pytest.mark.timeout(120)
+pytestmark = [pytest.mark.usefixtures("fast_paths_on"), pytest.mark.timeout(120)]
 
 # --- bytes ---------------------------------------------------------------------------------------------
 

@@ -6,12 +6,14 @@ import math
 
 import numpy as np
 import pytest
+from reference.packing import put_ray
 from support.space import even_space
 
 from raygrid.node.geometry.intersect import MISS, cone
 from raygrid.node.geometry.lattice import make_cell, nearest
 from raygrid.node.jit.decorators import kernel
-from raygrid.node.protocol.packets import SIZE, octahedral, pack_weight, put_ray, unit_vector
+from raygrid.node.protocol.packets import SIZE
+from raygrid.node.protocol.packing import octahedral, pack_weight, unit_vector
 from raygrid.node.tracing.camera import eye_ray
 from raygrid.node.tracing.local_geometry import cone_table
 from raygrid.node.tracing.shading import refract, unit

@@ -12,7 +12,7 @@ from support.space import UNEVEN_STEP, Index, even_space, indices, uneven_space
 
 from raygrid.node.geometry.bvh import DEPTH
 from raygrid.node.geometry.lattice import HALF, LONGEST_STEP, SLOW, Space, coordinate, make_cell
-from raygrid.node.protocol import packets
+from raygrid.node.protocol import packets, packing
 from raygrid.node.protocol.counters import BORN, COUNTS
 from raygrid.node.protocol.frame_tables import Frame
 from raygrid.node.tracing.camera import TRIES
@@ -22,7 +22,7 @@ from raygrid.node.tracing.output_queues import make_outputs
 from raygrid.node.tracing.primaries import DONE, new_cursor, spawn_primaries
 from raygrid.node.tracing.step_tables import StepTables
 
-WHITE = packets.pack_weight(1.0, 1.0, 1.0)
+WHITE = packing.pack_weight(1.0, 1.0, 1.0)
 SPACES = {
     "1x1x1": even_space((1, 1, 1)),
     "3x2x1": even_space((3, 2, 1), UNEVEN_STEP),

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reference.packing import octahedral, pack_weight, put_ray
+from reference.rays import entry, eye_ray, image_point, primary_origin, towards_start
 
 from raygrid.emulator.processes.warm import tiny_frame as one_frame
-from raygrid.node.geometry.grid_walk import NO_PORT, towards_start
+from raygrid.node.geometry.grid_walk import NO_PORT
 from raygrid.node.geometry.lattice import LATTICE, make_cell, make_space
-from raygrid.node.protocol.packets import PRIMARY, SIZE, octahedral, pack_weight, put_ray
-from raygrid.node.tracing.camera import entry, eye_ray, image_point, primary_origin
+from raygrid.node.protocol.packets import PRIMARY, SIZE
 from raygrid.node.tracing.primary_rays import (
     EIGHT,
     PRIMARY_ROOM,

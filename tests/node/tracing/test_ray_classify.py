@@ -4,15 +4,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reference.packing import put_ray, put_shadow
+from reference.rays import for_boxes
 from support.ray_setup import CELLS, SPACE, codes, coordinates, frame_with, places, ports
 
 from raygrid.node.geometry.bvh import EMPTY_BOUND, NODE_WORDS
-from raygrid.node.geometry.bvh_simd import CHILD_COLUMN, WIDE
+from raygrid.node.geometry.bvh_boxes import CHILD_COLUMN, FAREST, WIDE
 from raygrid.node.geometry.grid_walk import NO_PORT, leaves_array, towards_cell
 from raygrid.node.geometry.lattice import LATTICE, T_MIN
 from raygrid.node.protocol.counters import COUNTS
 from raygrid.node.protocol.messages import HEAD
-from raygrid.node.protocol.packets import PRIMARY, SIZE, put_ray, put_shadow
+from raygrid.node.protocol.packets import PRIMARY, SIZE
 from raygrid.node.tracing import ray_classify
 from raygrid.node.tracing.local_geometry import empty_surfaces
 from raygrid.node.tracing.output_queues import clear, hand_on, hand_on_all, make_outputs
@@ -27,7 +29,7 @@ from raygrid.node.tracing.ray_setup import (
     read_prepared,
     set_up_rays,
 )
-from raygrid.node.tracing.traverse import FAREST, for_boxes, open_root
+from raygrid.node.tracing.traverse import open_root
 
 edges = st.one_of(st.sampled_from([-0.5, -0.25, 0.0, 0.125, 0.5]), st.floats(-0.625, 0.625, width=32))
 boxes = st.lists(st.tuples(*6 * [edges]), max_size=WIDE)

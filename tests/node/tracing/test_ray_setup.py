@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reference.packing import HALF_DIRECTION, put_ray, put_shadow
+from reference.rays import set_up
 from support.ray_setup import CELLS, SPACE, codes, coordinates, frame_with, places, ports
 
 from raygrid.node.geometry.lattice import LATTICE
-from raygrid.node.protocol.packets import HALF_DIRECTION, PRIMARY, SIZE, put_ray, put_shadow
+from raygrid.node.protocol.packets import PRIMARY, SIZE
 from raygrid.node.tracing import ray_setup
 from raygrid.node.tracing.ray_setup import KNOWN, SETUP_RAYS, make_ray_setup, read_prepared, set_up_rays
-from raygrid.node.tracing.single_ray import set_up_ray
 
 
 def _bits(numbers):
@@ -25,7 +26,7 @@ def _same(frame, packets, came_by, cell, shadows):
     set_up_rays(cell, SPACE, many, shadows, columns)
     known = columns.known.reshape(KNOWN, SETUP_RAYS)
     for k in range(many):
-        way, o, d, inv, t_in, t_out, distance = set_up_ray(cell, SPACE, frame, packets, k * SIZE, int(came_by[k]), kind)
+        way, o, d, inv, t_in, t_out, distance = set_up(cell, SPACE, frame, packets, k * SIZE, int(came_by[k]), kind)
         assert columns.ways[k] == way
         expected = [*o, *d, *inv, t_in, t_out] + ([distance] if shadows else [])
         assert _bits(known[: len(expected), k]) == _bits(np.array(expected))

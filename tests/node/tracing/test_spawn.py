@@ -4,19 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reference.packing import octahedral, pack_weight, put_ray, put_shadow
+from reference.rays import origin_beside, towards_start
 
-from raygrid.node.geometry.grid_walk import NO_PORT, towards_start
+from raygrid.node.geometry.grid_walk import NO_PORT
 from raygrid.node.geometry.lattice import LATTICE, make_cell, make_space
-from raygrid.node.protocol.packets import (
-    LARGEST_BINARY32,
-    REFLECTED,
-    SHADOW,
-    SIZE,
-    octahedral,
-    pack_weight,
-    put_ray,
-    put_shadow,
-)
+from raygrid.node.protocol.packets import REFLECTED, SHADOW, SIZE
+from raygrid.node.protocol.packing import LARGEST_BINARY32
 from raygrid.node.tracing.spawn import (
     EIGHT,
     RAY_BATCH,
@@ -24,7 +18,6 @@ from raygrid.node.tracing.spawn import (
     SPAWN_ROOM,
     make_spawn_batch,
     note,
-    origin_beside,
     put,
     starts_behind,
     work_out,
