@@ -19,7 +19,7 @@ from raygrid.emulator.simulator.event_loop import cell_of, held_by
 from raygrid.node.geometry import PORTS, SELF
 from raygrid.node.jit import lean, part
 from raygrid.node.protocol import BORN, COUNTS, HEAD, PRIMARY, SENT, SIZE, WALKS
-from raygrid.node.tracing import spawn_sample
+from raygrid.node.tracing import StepTables, spawn_sample
 from raygrid.node.tracing.step import step_one
 
 Long = NDArray[np.int64]
@@ -138,10 +138,8 @@ def follow_samples(homes, space, frame, surfaces, roots, pixels, outputs, stack,
         j = pixel // frame.width
         i = pixel - j * frame.width
         group = (i & (APART - 1)) + APART * (j & (APART - 1))
-        made = spawn_sample(
-            cell_of(space, home), space, frame, pixels, i, j, pixel, sample - pixel * frame.samples,
-            stack.packets, outputs.seen,
-        )  # fmt: skip
+        tables = StepTables(cell_of(space, home), space, frame, surfaces, pixels, outputs, counts)
+        made = spawn_sample(tables, (i, j, pixel), sample - pixel * frame.samples, stack.packets)
         if made == 0:
             continue
         work.born[home] += 1
@@ -159,8 +157,11 @@ def follow_samples(homes, space, frame, surfaces, roots, pixels, outputs, stack,
             counts[:] = 0
             here = held_by(surfaces, roots[k, 0], roots[k, 1])
             step_one(
-                cell_of(space, k), space, frame, here, pixels, stack.packets, top * SIZE, port, outputs, counts
-            )  # fmt: skip
+                StepTables(cell_of(space, k), space, frame, here, pixels, outputs, counts),
+                stack.packets,
+                top * SIZE,
+                port,
+            )
             _price(work, prices, counts, k, group, tick, ready, own)
             for row in range(len(ready)):
                 end[row] = max(end[row], own[row])
