@@ -229,9 +229,9 @@ class _Picture(NamedTuple):
 def _simulated(job: Job, holding: Holding, priced: tuple[Prices, Long], samples: float) -> list[_Picture]:
     """Simulate the smaller and the larger picture; the frame itself, and no other, if it is no larger."""
     every, found = job.pixels * job.frame.samples, []
-    sides = ((samples, LEAST_ACROSS),)
+    sides = [(samples, LEAST_ACROSS)]
     if samples < every:
-        sides = ((samples / SMALLER, LEAST_ACROSS // 2), *sides)
+        sides.insert(0, (samples / SMALLER, LEAST_ACROSS // 2))
     for count, least in sides:
         few = few_pixels(job.frame, count, least)
         model = holding.model(few)
