@@ -22,6 +22,8 @@ from raygrid.emulator.simulator.simulator import Model, whole_picture
 from raygrid.emulator.simulator.work_kernels import (
     GROUPS,
     TICKS,
+    TIMES,
+    Following,
     PacketStack,
     PriceLists,
     WorkSums,
@@ -150,10 +152,13 @@ def _counted(holding: Holding, few: Frame, frame: Frame, prices: PriceLists) -> 
         np.zeros(COUNTS, np.int64),
         np.zeros(1, np.int64),
     )
+    outputs = make_outputs(2 * (few.n_lights + 4), DEPTH)
+    counts, times = np.zeros(COUNTS, np.int64), np.zeros((TIMES, lists), np.int64)
     follow_samples(
-        homes, holding.space, few, holding.surfaces, holding.roots, whole_picture(few),
-        make_outputs(2 * (few.n_lights + 4), DEPTH), stack, prices, work, np.zeros(COUNTS, np.int64),
-        np.zeros((4, lists), np.int64),
+        Following(
+            homes, holding.space, few, holding.surfaces, holding.roots, whole_picture(few), outputs, stack, prices, work,
+            counts, times,
+        )
     )  # fmt: skip
     born = max(int(work.born.sum()), 1)
     work.counts[BORN + PRIMARY] = int(work.born.sum())

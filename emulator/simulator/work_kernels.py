@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.emulator.simulator.event_loop import cell_of, held_by
-from raygrid.node.geometry import PORTS, SELF
+from raygrid.node.geometry import PORTS, SELF, Space, Surfaces
 from raygrid.node.jit import lean, part
-from raygrid.node.protocol import BORN, COUNTS, HEAD, PRIMARY, SENT, SIZE, WALKS
-from raygrid.node.tracing import StepTables, spawn_sample
+from raygrid.node.protocol import BORN, COUNTS, HEAD, PRIMARY, SENT, SIZE, WALKS, Frame
+from raygrid.node.tracing import Outputs, Pixels, StepTables, spawn_sample
 from raygrid.node.tracing.step import step_one
 
 Long = NDArray[np.int64]
@@ -70,18 +70,38 @@ class WorkSums(NamedTuple):
     steps: Long
 
 
-@part
-def _push(stack, top, cell, port, source, at):
-    """Put a packet on the stack; its ticks are written by who calls."""
-    for byte in range(SIZE):
-        stack.packets[top * SIZE + byte] = source[at + byte]
-    stack.facts[top, CELL], stack.facts[top, PORT] = cell, port
+class Following(NamedTuple):
+    """All that following takes: an array, a frame, and where the sums go.
+
+    homes   int32 (samples,), the cell in which each begins, -1: it misses the world box
+    roots   int64 (cells, 2): rows of surfaces.floats of cell k are roots[k, 0] to roots[k, 1] - 1
+    counts  int64 (COUNTS,), of one service; times: int64 (TIMES, lists), its ticks
+    """
+
+    homes: NDArray[np.int32]
+    space: Space
+    frame: Frame
+    surfaces: Surfaces
+    roots: Long
+    pixels: Pixels
+    outputs: Outputs
+    stack: PacketStack
+    prices: PriceLists
+    work: WorkSums
+    counts: Long
+    times: Long
+
+
+# rows of Following.times: when a service begins, from when a packet can be sent, when one is served that starts here, and
+# when all of a sample has ended so far
+BEGIN, READY, OWN, END, TIMES = 0, 1, 2, 3, 4
 
 
 @part
-def _push_sent(stack, top, k, nx, nxy, prices, outputs, counts, ready, own):
-    """Take what a service has put on the outputs; returns the new height. `ready`, `own`: int64 (lists,), ticks from
-    which a packet can be sent, and at which one is served that starts here."""
+def _push_sent(run, top, k):
+    """Put on the stack what a service of cell k has put on the outputs; returns the new height."""
+    outputs, stack, prices = run.outputs, run.stack, run.prices
+    nx, nxy = run.space.shape[0], run.space.shape[0] * run.space.shape[1]
     nth = np.int64(0)
     for output in range(len(outputs.held)):
         for packet in range(outputs.held[output]):
@@ -90,12 +110,14 @@ def _push_sent(stack, top, k, nx, nxy, prices, outputs, counts, ready, own):
                 stride = 1 if output < 2 else (nx if output < 4 else nxy)
                 cell, port = (k + stride if output & 1 else k - stride), np.int64(output ^ 1)
                 nth += 1
-            _push(stack, top, cell, port, outputs.data[output], HEAD + packet * SIZE)
-            for row in range(len(ready)):
-                tick = own[row]
+            for byte in range(SIZE):
+                stack.packets[top * SIZE + byte] = outputs.data[output, HEAD + packet * SIZE + byte]
+            stack.facts[top, CELL], stack.facts[top, PORT] = cell, port
+            for row in range(run.times.shape[1]):
+                tick = run.times[OWN, row]
                 if output < PORTS:
                     before = nth if prices.by_processor[row] != 0 else 1
-                    tick = ready[row] + before * prices.transmit[row] + prices.latency[row]
+                    tick = run.times[READY, row] + before * prices.transmit[row] + prices.latency[row]
                 stack.facts[top, TICKS + row] = tick
             top += 1
         outputs.held[output] = 0
@@ -103,69 +125,72 @@ def _push_sent(stack, top, k, nx, nxy, prices, outputs, counts, ready, own):
 
 
 @part
-def _price(work, prices, counts, k, group, tick, ready, own):
-    """Add what a service costs to its cell; tick int64 (lists,): when it begins."""
+def _price(run, k, group):
+    """Add what a service costs to its cell, and work out its ticks."""
+    work, prices, counts, times = run.work, run.prices, run.counts, run.times
     sent = np.int64(0)
     for output in range(PORTS):
         sent += counts[SENT + output]
         work.sent[k, output] += counts[SENT + output]
-    for row in range(len(ready)):
+    for row in range(times.shape[1]):
         ticks = prices.packet[row] + prices.walks[row, k] * counts[WALKS]
         for count in range(COUNTS):
             ticks += prices.counts[row, count] * counts[count]
-        ready[row] = tick[row] + ticks
+        times[READY, row] = times[BEGIN, row] + ticks
         ticks += prices.by_processor[row] * prices.transmit[row] * sent
-        own[row] = tick[row] + ticks
+        times[OWN, row] = times[BEGIN, row] + ticks
+        times[END, row] = max(times[END, row], times[OWN, row])
         work.busy[k, group, row] += ticks
     for count in range(COUNTS):
         work.counts[count] += counts[count]
     work.steps[0] += 1
 
 
-@lean
-def follow_samples(homes, space, frame, surfaces, roots, pixels, outputs, stack, prices, work, counts, times):
-    """Follow all packets of the samples of a frame.
+@part
+def _tables(run, k, surfaces):
+    """What the ray step of cell k reads and writes."""
+    return StepTables(cell_of(run.space, k), run.space, run.frame, surfaces, run.pixels, run.outputs, run.counts)
 
-    homes   int32 (samples,), -1: misses the world box; times: int64 (4, lists), scratch
-    """
-    nx, nxy = space.shape[0], space.shape[0] * space.shape[1]
-    ready, own, tick, end = times[0], times[1], times[2], times[3]
-    for sample in range(len(homes)):
-        home = np.int64(homes[sample])
+
+@part
+def _begin(run, home, group):
+    """Begin with the primary ray that lies first on the stack."""
+    stack, work = run.stack, run.work
+    work.born[home] += 1
+    stack.facts[0, CELL], stack.facts[0, PORT] = home, SELF
+    for row in range(run.times.shape[1]):
+        price = run.prices.counts[row, BORN + PRIMARY]
+        work.busy[home, group, row] += price
+        stack.facts[0, TICKS + row] = run.times[END, row] = price
+
+
+@lean
+def follow_samples(run):
+    """Follow all packets of the samples of a frame."""
+    frame, stack, work, times = run.frame, run.stack, run.work, run.times
+    for sample in range(len(run.homes)):
+        home = np.int64(run.homes[sample])
         if home < 0:
             continue
         pixel = sample // frame.samples
         j = pixel // frame.width
         i = pixel - j * frame.width
         group = (i & (APART - 1)) + APART * (j & (APART - 1))
-        tables = StepTables(cell_of(space, home), space, frame, surfaces, pixels, outputs, counts)
-        made = spawn_sample(tables, (i, j, pixel), sample - pixel * frame.samples, stack.packets)
-        if made == 0:
+        number = sample - pixel * frame.samples
+        if spawn_sample(_tables(run, home, run.surfaces), (i, j, pixel), number, stack.packets) == 0:
             continue
-        work.born[home] += 1
-        stack.facts[0, CELL], stack.facts[0, PORT] = home, SELF
-        for row in range(len(ready)):
-            price = prices.counts[row, BORN + PRIMARY]
-            work.busy[home, group, row] += price
-            stack.facts[0, TICKS + row] = end[row] = price
+        _begin(run, home, group)
         top = np.int64(1)
         while top > 0:
             top -= 1
             k, port = stack.facts[top, CELL], stack.facts[top, PORT]
-            for row in range(len(ready)):
-                tick[row] = stack.facts[top, TICKS + row]
-            counts[:] = 0
-            here = held_by(surfaces, roots[k, 0], roots[k, 1])
-            step_one(
-                StepTables(cell_of(space, k), space, frame, here, pixels, outputs, counts),
-                stack.packets,
-                top * SIZE,
-                port,
-            )
-            _price(work, prices, counts, k, group, tick, ready, own)
-            for row in range(len(ready)):
-                end[row] = max(end[row], own[row])
-            top = _push_sent(stack, top, k, nx, nxy, prices, outputs, counts, ready, own)
-        for row in range(len(ready)):
-            work.longest[row] = max(work.longest[row], end[row])
-            work.together[row] += end[row]
+            for row in range(times.shape[1]):
+                times[BEGIN, row] = stack.facts[top, TICKS + row]
+            run.counts[:] = 0
+            here = held_by(run.surfaces, run.roots[k, 0], run.roots[k, 1])
+            step_one(_tables(run, k, here), stack.packets, top * SIZE, port)
+            _price(run, k, group)
+            top = _push_sent(run, top, k)
+        for row in range(times.shape[1]):
+            work.longest[row] = max(work.longest[row], times[END, row])
+            work.together[row] += times[END, row]
