@@ -15,7 +15,7 @@ import numpy as np
 from raygrid.node.geometry import F64
 
 FEW_RAYS = 10.0  # of primary rays for a processor: below, the latency of single rays tells, and not the work
-LIKELY = 1.5  # how many standard errors a stated error is: those of the jackknife are wide for pixels that lie evenly
+LIKELY = 2.0  # how many standard errors a stated error is
 LEAST_ERROR, LEAST_ERROR_FEW = 0.005, 0.05  # what the law is off by at least, by many rays and by few
 DOUBT = 0.05  # part of the growth of a latency that is stated as an error
 MOST_POWER = 16.0
