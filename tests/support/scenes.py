@@ -122,7 +122,7 @@ class Rays(NamedTuple):
 
     def directions(self) -> F64:
         """What the codes stand for."""
-        return np.array([packets.unit_vector(a, b) for a, b in self.codes])
+        return np.stack(packing.unit_vector(self.codes[:, 0], self.codes[:, 1]), axis=-1)
 
 
 def troublesome_rays(rng: Generator, n: int) -> Rays:
