@@ -11,7 +11,7 @@ PIP    := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet
         check-versions wheel-check picture bench faults fuzz fuzz-scenes clean
 
 help: ## list the targets
-	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 19
 
 $(STAMP): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -76,10 +76,10 @@ check-versions:
 	PYTHONWARNINGS=ignore build/$(OF)/bin/python -m pip install --quiet --upgrade pip
 	PYTHONWARNINGS=ignore build/$(OF)/bin/python -m pip install --quiet $(CHOOSE) --editable '.[test]'
 	build/$(OF)/bin/python -m pip list | grep -iE '^(numpy|numba|llvmlite|pyzmq|xxhash|msgpack) '
-	RAYGRID_CACHE=build/$(OF)/kernels $(subst $(BIN),build/$(OF)/bin,$(PYTEST)) -m "not slow" $(TELLING)
+	RAYGRID_CACHE=$(CURDIR)/build/$(OF)/kernels $(subst $(BIN),build/$(OF)/bin,$(PYTEST)) -m "not slow" $(TELLING)
 
 # indices that lie outside an array raise; kernels of their own, in build/bounds
-CHECKED := NUMBA_BOUNDSCHECK=1 RAYGRID_CACHE=build/bounds
+CHECKED := NUMBA_BOUNDSCHECK=1 RAYGRID_CACHE=$(CURDIR)/build/bounds
 SHARED  ?= $(or $(RAYGRID_SHARED),../shared)
 
 check-bounds: $(STAMP) ## tests of kernels, and some pictures, with every index checked

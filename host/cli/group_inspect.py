@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import click
 
@@ -19,6 +19,8 @@ from raygrid.host.cli.types import (
     outside_option,
     path_option,
 )
+from raygrid.host.cli.view_options import view_options
+from raygrid.host.render.given_settings import GivenSettings
 from raygrid.host.text.bounds import MAX_BUDGET, MAX_DEPTH, MAX_FRAMES, MAX_RATE, MAX_SAMPLES, MAX_WEIGHT
 
 TRACE_EXAMPLES = """\b
@@ -90,6 +92,7 @@ def _frame_options(command: Command) -> Command:
                      help="Where the planes between processors lie, as for render."),
         click.option("--frame", type=NumberType(1, MAX_FRAMES), metavar="N", help="The frame of a shot.  [default: 1]"),
     )
+    command = view_options(command)
     for option in reversed(options):
         command = option(command)
     return command
@@ -112,7 +115,7 @@ def trace(
     """
     from raygrid.host.cli.commands.trace import TraceRequest, run_trace
 
-    run_trace(TraceRequest(scene, shape, pixel, sample, as_json, frame, settings))
+    run_trace(TraceRequest(scene, shape, pixel, sample, as_json, frame, cast(GivenSettings, settings)))
 
 
 @click.command(epilog=JAM_EXAMPLES)
@@ -135,7 +138,7 @@ def jam(
     """
     from raygrid.host.cli.commands.jam import JamRequest, run_jam
 
-    run_jam(JamRequest(scene, shape, room, budget, as_json, frame, settings))
+    run_jam(JamRequest(scene, shape, room, budget, as_json, frame, cast(GivenSettings, settings)))
 
 
 @click.command(short_help="Show how the nodes of an array stand: a table and heat maps.", epilog=PROBE_EXAMPLES)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from typing import Any
+from typing import Any, cast
 
 import click
 
@@ -17,6 +17,8 @@ from raygrid.host.cli.types import (
     outside_option,
     path_option,
 )
+from raygrid.host.cli.view_options import view_options
+from raygrid.host.render.given_settings import GivenSettings
 from raygrid.host.text.bounds import MAX_DEPTH, MAX_FRAMES, MAX_SAMPLES, MAX_WEIGHT
 
 SIMULATE_EXAMPLES = """\b
@@ -66,6 +68,7 @@ Writes law.md, law.csv and a plot for each scene. docs/paper.md says what came o
 @path_option("--csv", "table", metavar="FILE", help="Write a row for each processor.")
 @path_option("--plots", metavar="FOLDER",
               help="Write busy.png, links.png and time.png there, made if need be (needs the extra `plots`).")
+@view_options
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors and results.")
 @outside_option
 @debug_option
@@ -81,7 +84,7 @@ def simulate(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], 
 
     names = ("cost", "search", "band", "stats", "table", "plots", "transfer", "quiet", "frame")
     chosen = {name: options.pop(name) for name in names}
-    run_simulate(SimulateRequest(scene, shape, outputs=outputs, **chosen, settings=options))
+    run_simulate(SimulateRequest(scene, shape, outputs=outputs, **chosen, settings=cast(GivenSettings, options)))
 
 
 @click.command(short_help="Fit the law of 1983, T = A + B n + C R / n^2, to simulations.", epilog=LAW_EXAMPLES)

@@ -28,6 +28,7 @@ from raygrid.host.cli.types import (
     outside_option,
     path_option,
 )
+from raygrid.host.cli.view_options import view_options
 from raygrid.host.text.bounds import MAX_BUDGET, MAX_DEPTH, MAX_FRAMES, MAX_RATE, MAX_SAMPLES, MAX_WEIGHT
 from raygrid.host.text.standard_streams import ready_streams
 
@@ -53,6 +54,8 @@ Examples:
   raygrid render scenes/room.glb
   raygrid render scenes/glass.toml --array 3x3x3 --samples 4 -o glass.png
   raygrid render scenes/checker.obj -o a.png -o a.npy --stats a.json
+  raygrid render scenes/room.obj --fit front --light 2,7,4 -o front.png
+  raygrid render scenes/glass.toml --from 3,2,6 --at 0,1,0 --fov 30
   raygrid render scenes/tree.nff --array 4x4x1 --split uniform --batch 1
   raygrid render scenes/mobile.toml --frames 1-48 -o 'out/m_%04d.png'
   raygrid render scenes/glass.toml --turntable 72 -o out/round.webp
@@ -77,6 +80,7 @@ EXPORT_EXAMPLES = """\b
 Examples:
   raygrid export scenes/kinds.nff
   raygrid export scenes/room.glb --depth 3 -o room.pov
+  raygrid export scenes/glass.toml -o glass.glb
 """
 
 
@@ -108,8 +112,8 @@ def cli() -> None:
 @click.option("--transfer", type=click.Choice(["srgb", "linear"]), default="srgb", show_default=True,
               help="From linear radiance to the bytes of a picture.")
 @click.option("-o", "--output", "outputs", multiple=True, type=FileName(), metavar="FILE",
-              help="Picture (.png .jpg .webp .tif .bmp .ppm), or .npy of the exact sums; - is standard output, a PNG; may be "
-                   "repeated.  [default: the scene's name with .png, here]")
+              help="Picture (.png .jpg .webp .tif .bmp .ppm .tga .jp2), linear radiance (.pfm .hdr .exr), or .npy of the exact "
+                   "sums; - is standard output, a PNG; may be repeated.  [default: the scene's name with .png, here]")
 @click.option("--frames", type=FramesType(), metavar="A-B",
               help="Render these frames of a shot; FILE then has a number such as %04d in its name, or is .gif .webp .mp4.")
 @click.option("--turntable", type=NumberType(1, MAX_FRAMES), metavar="N", help="The camera goes once round the scene in N frames.")
@@ -141,6 +145,7 @@ def cli() -> None:
 @click.option("--fault", type=FaultType(), metavar="KIND[:RATE[:SEED]]",
               help="For experiments: links between neighbours drop, double, reorder, delay, corrupt or truncate this part "
                    "of their messages; --patience is then 3 at most.  [default rate: 0.0001]")
+@view_options
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors. (Without a terminal there is hardly any.)")
 @outside_option
 @debug_option
@@ -221,18 +226,24 @@ def info(scene: str, as_json: bool) -> None:
     help="File to write.  [default: the scene's name with .pov, here]",
 )
 @click.option("--frame", type=NumberType(1, MAX_FRAMES), metavar="N", help="The frame of a shot.  [default: 1]")
+@view_options
 @outside_option
 @debug_option
-def export(scene: str, depth: int | None, highlights: bool | None, output: str | None, frame: int | None) -> None:
-    """Write a scene file for POV-Ray 3.7.
+def export(
+    scene: str, depth: int | None, highlights: bool | None, output: str | None, frame: int | None, **view: Any
+) -> None:
+    """Write a scene for another program: .pov, .glb, .obj, .ply or .stl.
 
-    POV-Ray renders the same picture from it, by the same rules; the head of the file says what differs.
+    POV-Ray 3.7 renders the same picture from a .pov, by the same rules; its head says what differs. A .glb has triangles,
+    materials, camera and lights for modelling programs; the others hold the triangles. What is not in them is said.
+
+    SCENE is a file of one of these kinds: .nff .obj .ply .stl .glb .gltf .toml
     """
-    from raygrid.host.export.povray import export_file
+    from raygrid.host.export.scene_file import export_file
     from raygrid.host.image.outputs import write_names
 
     written = [
-        export_file(scene, output, depth, highlights, frame, lambda told: click.echo(f"note: {told}", err=True))
+        export_file(scene, output, depth, highlights, frame, lambda told: click.echo(f"note: {told}", err=True), **view)
     ]
     write_names(written, written)
 

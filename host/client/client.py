@@ -108,7 +108,8 @@ class Service:
         turntable  so many frames make a shot of a still scene: the camera goes once round; `turn_scene`: the scene turns
         program   path of a program for the nodes, for an array that was launched to take it
         priority  -100 to 100: frames of higher ones go first, and one that runs is given up for them if it would take long
-        settings  size, samples, depth, min_weight, highlights, split; see `raygrid.host.render.machine_job.Settings`
+        settings  size, samples, depth, min_weight, highlights, split (`raygrid.host.render.machine_job.Settings`), and eye,
+                  at, up, fov, camera, fit, lights, background, crease (`raygrid.host.scene.view.GivenView`)
         Raises TypeError for another setting, OutputError for names that cannot be, ArrayError for what the service refuses.
         """
         unknown = set(settings) - set(SETTINGS)

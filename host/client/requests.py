@@ -6,13 +6,14 @@ docs/service.md describes each request and its answer.
 from __future__ import annotations
 
 import os
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self, cast
 
 from pydantic import (
     AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
+    PlainValidator,
     Strict,
     TypeAdapter,
     ValidationError,
@@ -21,8 +22,10 @@ from pydantic import (
 
 from raygrid.host.client.protocol import Message, shown
 from raygrid.host.image.frames import LAST_FRAME, MOST_FRAMES, check_job
+from raygrid.host.render.given_settings import GivenSettings, parted
+from raygrid.host.scene import view
 from raygrid.host.text import bounds
-from raygrid.node.errors import OutputError, ProtocolError
+from raygrid.node.errors import OutputError, ProtocolError, SceneError
 
 _PATH = f"an absolute path of at most {bounds.LONGEST_PATH} characters"
 _SWITCH = "true or false"
@@ -40,6 +43,13 @@ WANTED = {
     "settings.min_weight": f"a number from 0 to {bounds.MAX_WEIGHT}",
     "settings.highlights": _SWITCH,
     "settings.split": "balanced or uniform",
+    **{f"settings.{name}": view.THREE for name in ("eye", "at", "up")},
+    "settings.fov": view.ANGLE,
+    "settings.camera": view.CAMERA,
+    "settings.fit": f"one of: {', '.join(view.FITS)}",
+    "settings.lights": f"a list of at most {view.MOST_LIGHTS}, each {view.LIGHT}",
+    "settings.background": view.COLOUR,
+    "settings.crease": view.CREASE,
     "frames": f"the first and the last of at most {MOST_FRAMES:,} frames, from 1 to {LAST_FRAME}",
     "turntable": "a number of frames",
     "turntable.frames": f"a whole number from 1 to {bounds.MAX_FRAMES:,}",
@@ -81,6 +91,19 @@ Frame = Annotated[int, Field(ge=1, le=LAST_FRAME)]
 Number = Annotated[int, Field(ge=1, le=bounds.MAX_JOB)]
 
 
+def _of_view(name: str) -> PlainValidator:
+    """Checks a keyword of a view by itself, as everybody else's."""
+
+    def check(value: object) -> object:
+        try:
+            made = view.view_of(cast(view.GivenView, {name: value}))
+        except SceneError as error:
+            raise ValueError(str(error)) from None
+        return None if value is None else getattr(made, name)
+
+    return PlainValidator(check)
+
+
 class Strictly(BaseModel):
     """Nothing unasked, nothing converted."""
 
@@ -96,6 +119,27 @@ class SettingsOf(Strictly):
     min_weight: Annotated[float, Field(ge=0.0, le=bounds.MAX_WEIGHT)] | None = None
     highlights: bool | None = None
     split: Literal["balanced", "uniform"] = "balanced"
+    eye: Annotated[Any, _of_view("eye")] = None
+    at: Annotated[Any, _of_view("at")] = None
+    up: Annotated[Any, _of_view("up")] = None
+    fov: Annotated[float | None, _of_view("fov")] = None
+    camera: Annotated[str | int | None, _of_view("camera")] = None
+    fit: Annotated[str | None, _of_view("fit")] = None
+    lights: Annotated[Any, _of_view("lights")] = None
+    background: Annotated[Any, _of_view("background")] = None
+    crease: Annotated[float | None, _of_view("crease")] = None
+
+    def given(self) -> GivenSettings:
+        """The settings by keyword, those left out that are None."""
+        return cast(GivenSettings, {name: value for name, value in dict(self).items() if value is not None})
+
+    @model_validator(mode="after")
+    def _view_can_be(self) -> Self:
+        try:
+            view.view_of(parted(self.given())[1])
+        except SceneError as error:
+            raise ValueError(str(error)) from None
+        return self
 
 
 class TurntableOf(Strictly):
@@ -233,7 +277,7 @@ def _first_fault(error: ValidationError, message: Message) -> str:
     if first["type"] == "extra_forbidden":
         known = f"only what {message['do']} knows" if isinstance(message.get("do"), str) else "only what is known"
         return f"the key {'.'.join(steps)[:80]!r} came, wanted {known}"
-    if first["type"] == "value_error" and not steps:
+    if first["type"] == "value_error" and steps in ([], ["settings"]):
         return str(first["ctx"]["error"])
     if first["type"].startswith("union_tag"):
         steps = ["do"]

@@ -72,7 +72,8 @@ def absolute(what: str, path: Any) -> str:
     what  it is the path of
     """
     if not isinstance(path, str | os.PathLike) or not isinstance(os.fspath(path), str):
-        raise ArrayError(f"{what} came as {shown(path)}, wanted the path of a file")
+        first = " (a scene in memory is to be saved first)" if what == "scene" else ""
+        raise ArrayError(f"{what} came as {shown(path)}, wanted the path of a file{first}")
     try:
         return os.path.abspath(path)
     except FileNotFoundError:

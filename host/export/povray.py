@@ -11,18 +11,16 @@ power of ten that makes scenes of any size large against that.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from raygrid.host.export.povray_surfaces import MaterialWriter, surface_lines, vector
-from raygrid.host.files.input_guard import check_outputs, note, noted
-from raygrid.host.image.outputs import check_path, write_whole
+from raygrid.host.image.outputs import write_whole
 from raygrid.host.render.machine_job import DEFAULT_DEPTH, DEFAULT_SIZE
-from raygrid.host.scene.animation.scene_frames import frame_told, still
+from raygrid.host.scene.animation.scene_frames import still
 from raygrid.host.scene.cameras import Camera, Span
-from raygrid.host.scene.load import load_scene
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import SceneError
 from raygrid.node.geometry import F64
@@ -32,32 +30,6 @@ REACH = 1e3  # the scene's box and the eye measure this to ten times this in POV
 NEAR = 1e-5  # an inverse square is POV-Ray's 2 / (1 + (r / d)^2) with d this part of REACH
 FAR = 1e3  # a directional light stands this many times the scene's measure away
 SHADE = 0.002  # radius of the shade of a spot light in POV-Ray's units, of which it overlooks 0.001
-
-
-def export_file(
-    scene: str | Path,
-    output: str | Path | None = None,
-    depth: int | None = None,
-    highlights: bool | None = None,
-    frame: int | None = None,
-    tell: Callable[[str], None] = lambda _: None,
-) -> str:
-    """Read a scene and write it by `export_pov`; returns the path written, the scene's name with .pov by default.
-
-    frame   of an animation, None for its first; `tell` is told of which
-    Raises SceneError and OutputError.
-    """
-    path = Path(scene).stem + ".pov" if output is None else str(output)
-    check_path(path)
-    with noted():  # called from Python, too
-        note(scene, "the same file as the scene")
-        check_outputs([path])
-        read = load_scene(scene)
-        told = frame_told(read, frame)
-        if told is not None:
-            tell(told)
-        export_pov(read, path, depth, highlights, frame)
-    return path
 
 
 def export_pov(

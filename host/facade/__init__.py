@@ -17,19 +17,25 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from raygrid.host.client.client import Result, Service, Submitted, connect
-    from raygrid.host.render.api import Machine, Picture, Scene, launch, load_scene
+    from raygrid.host.render.api import Machine, Picture, launch, load_scene
+    from raygrid.host.scene.formats.memory_scene import MemoryScene as Scene
+    from raygrid.host.scene.scene import Scene as LoadedScene
     from raygrid.node.errors import ArrayError, OutputError, RaygridError, SceneError
 
     __version__: str
 
+# public name -> module, and what it is called there
 _HOMES = {
-    "raygrid.host.client.client": ("Result", "Service", "Submitted", "connect"),
-    "raygrid.host.render.api": ("Machine", "Picture", "Scene", "launch", "load_scene"),
-    "raygrid.node.errors": ("ArrayError", "OutputError", "RaygridError", "SceneError"),
+    **dict.fromkeys(("Result", "Service", "Submitted", "connect"), ("raygrid.host.client.client", "")),
+    **dict.fromkeys(("Machine", "Picture", "launch", "load_scene"), ("raygrid.host.render.api", "")),
+    **dict.fromkeys(("ArrayError", "OutputError", "RaygridError", "SceneError"), ("raygrid.node.errors", "")),
+    "Scene": ("raygrid.host.scene.formats.memory_scene", "MemoryScene"),
+    "LoadedScene": ("raygrid.host.scene.scene", "Scene"),
 }
 
 __all__ = [
     "ArrayError",
+    "LoadedScene",
     "Machine",
     "OutputError",
     "Picture",
@@ -50,9 +56,9 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("raygrid")
-    for module, names in _HOMES.items():
-        if name in names:
-            return getattr(import_module(module), name)
+    if name in _HOMES:
+        module, known = _HOMES[name]
+        return getattr(import_module(module), known or name)
     raise AttributeError(f"module 'raygrid' has no attribute {name!r}")
 
 

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import io
 import os
 import stat
@@ -41,7 +42,10 @@ FORMATS = {
     ".tiff": Format("TIFF", 1 << 31, {}),
     ".bmp": Format("BMP", 1 << 31, {}),
     ".ppm": Format("PPM", 1 << 31, {}),
+    ".tga": Format("TGA", 65_535, {}),
+    ".jp2": Format("JPEG2000", 1 << 31, {"irreversible": False}),
 }
+RADIANCE = (".pfm", ".hdr", ".exr")  # linear radiance (`radiance`)
 LONGEST_PLAYED = {".gif": 65_535, ".mp4": 16_384}  # sides of files that play; a .webp is a picture, too
 
 
@@ -53,12 +57,20 @@ def suffix_of(path: str | Path) -> str:
 def check_picture_path(path: str | Path) -> None:
     """Raise OutputError if a picture (or .npy) can surely not be written there: asked before the work, not after."""
     suffix = suffix_of(path)
-    if os.fspath(path) and not os.path.isdir(path) and suffix != SUMS and suffix not in FORMATS:
+    if os.fspath(path) and not os.path.isdir(path) and suffix not in (SUMS, *RADIANCE, *FORMATS):
         came = f"the suffix {suffix!r}" if suffix else "no suffix"
-        raise OutputMisuse(f"{path}: the output has {came}, wanted one of: {' '.join((*FORMATS, SUMS))}")
+        raise OutputMisuse(f"{path}: the output has {came}, wanted one of: {' '.join((*FORMATS, *RADIANCE, SUMS))}")
+    if suffix == ".exr":
+        check_exr(path)
     check_path(path)
     if os.fspath(path) == STANDARD and _standard().isatty():
         raise OutputError("-: standard output is a terminal, wanted a pipe or a file for a picture")
+
+
+def check_exr(path: str | Path) -> None:
+    """Raise OutputError if the library for EXR files is not there."""
+    if importlib.util.find_spec("OpenEXR") is None:
+        raise OutputError(f"{path}: OpenEXR is not installed, wanted the extra: pip install 'raygrid[exr]'")
 
 
 def check_path(path: str | Path) -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from raygrid.host.image.outputs import FORMATS, SUMS, check_picture_path, check_side, suffix_of, write_whole
+from raygrid.host.image.outputs import FORMATS, RADIANCE, SUMS, check_picture_path, check_side, suffix_of, write_whole
 from raygrid.host.image.transfer import TRANSFERS, to_bytes
 from raygrid.node.errors import OutputError
 from raygrid.node.tracing import UNIT
@@ -60,8 +60,8 @@ class Picture:
         return to_bytes(self.sums, self.samples, transfer)
 
     def save(self, path: str | Path, transfer: str = "srgb", texts: Mapping[str, str] | None = None) -> None:
-        """Write a .npy of the sums, or a picture (.png .jpg .webp .tif .bmp .ppm). It appears whole or not at all; - is
-        standard output, a PNG.
+        """Write a .npy of the sums, linear radiance (.pfm .hdr .exr), or a picture (.png .jpg .webp .tif .bmp .ppm .tga .jp2).
+        It appears whole or not at all; - is standard output, a PNG.
 
         texts  kept beside the picture in a .png, keyword -> Latin-1 text
         Raises OutputError.
@@ -69,6 +69,11 @@ class Picture:
         check_picture_path(path)
         if suffix_of(path) == SUMS:
             write_whole(path, self._write_sums)
+        elif suffix_of(path) in RADIANCE:
+            from raygrid.host.image.radiance import WRITERS
+
+            radiance, write = self.linear(), WRITERS[suffix_of(path)]
+            write_whole(path, lambda file: write(radiance, file))
         else:
             write_whole(path, self._encoder(path, transfer, texts))
 

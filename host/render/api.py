@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 from raygrid.emulator.driver import BUDGET, PATIENCE, NodeSample
 from raygrid.emulator.processes import BATCH, Array
@@ -16,13 +16,12 @@ from raygrid.emulator.topology import parse_shape
 from raygrid.host.image.picture import Picture
 from raygrid.host.render.animation_jobs import jobs_of
 from raygrid.host.render.frame import Watch
-from raygrid.host.render.given_settings import GivenSettings
+from raygrid.host.render.given_settings import GivenSettings, parted
 from raygrid.host.render.job import Settings, make_job
 from raygrid.host.render.program_file import read_program
 from raygrid.host.render.retry import ATTEMPTS
 from raygrid.host.render.session import RenderSession
 from raygrid.host.scene.load import load_scene
-from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import ArrayError
 from raygrid.node.links import parse_fault
 from raygrid.node.programs import Program
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
 
 MOST_BATCH = 8192  # packets; their message stays far below the longest that a link takes
 
-__all__ = ["Machine", "Picture", "Scene", "launch", "load_scene"]
+__all__ = ["Machine", "Picture", "launch", "load_scene"]
 
 
 class Machine:
@@ -78,9 +77,10 @@ class Machine:
         program: str | Path | Program | None = None,
         **settings: Unpack[GivenSettings],
     ) -> Picture:
-        """Render a scene: a Scene, the path of a file of one, a trimesh.Trimesh or a trimesh.Scene (docs/scenes.md).
+        """Render a scene: the path of a file, a raygrid.Scene, what load_scene gives, or an object of trimesh (docs/scenes.md).
 
-        settings  size, samples, depth, min_weight, highlights, split; see `raygrid.host.render.machine_job.Settings`
+        settings  size, samples, depth, min_weight, highlights, split (`raygrid.host.render.machine_job.Settings`), and eye,
+                  at, up, fov, camera, fit, lights, background, crease (`raygrid.host.scene.view.GivenView`)
         budget    packets in flight below which new primary rays are admitted
         watch     called with (phase, progress) as the work goes on
         attempts  how often to try in all: when a node is lost or a link breaks, the array is reset and the frame
@@ -89,7 +89,8 @@ class Machine:
         Raises SceneError for a scene or settings that cannot be rendered, ArrayError if the array fails.
         """
         with self._use() as array:
-            job = make_job(load_scene(scene, self._allow_outside), self.shape, self._settings(settings, program))
+            frame, view = parted(settings)
+            job = make_job(load_scene(scene, self._allow_outside, **view), self.shape, self._settings(frame, program))
             return RenderSession(array, attempts).render(job, budget, watch)
 
     def render_frames(
@@ -109,13 +110,14 @@ class Machine:
         frames  their numbers, from 1; None: all of the shot
         The rest, and what is raised, as for `render`. `raygrid.host.scene.animation.turntable` makes a shot of a still scene.
         """
-        read = load_scene(scene, self._allow_outside)
-        for job in jobs_of(read, self.shape, self._settings(settings, program), frames):
+        frame, view = parted(settings)
+        read = load_scene(scene, self._allow_outside, **view)
+        for job in jobs_of(read, self.shape, self._settings(frame, program), frames):
             with self._use() as array:  # not while the caller has the picture
                 picture = RenderSession(array, attempts).render(job, budget, watch)
             yield picture
 
-    def _settings(self, given: GivenSettings, program: str | Path | Program | None) -> Settings:
+    def _settings(self, given: dict[str, Any], program: str | Path | Program | None) -> Settings:
         if program is not None and not self._array.programs:
             raise ArrayError("a program is code that runs with your rights, wanted launch(..., allow_programs=True)")
         return Settings(**given, program=read_program(program) if isinstance(program, str | Path) else program)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TypedDict
+from typing import Any, TypedDict, cast
+
+from raygrid.host.scene.view import VIEW, GivenView
 
 
-class GivenSettings(TypedDict, total=False):
-    """Settings by keyword; left out or None: what the scene's file asks for (`raygrid.host.render.machine_job.Settings`)."""
+class GivenFrame(TypedDict, total=False):
+    """Settings of the frame; left out or None: what the scene's file asks for (`raygrid.host.render.machine_job.Settings`)."""
 
     size: tuple[int, int] | None
     samples: int | None
@@ -16,4 +18,14 @@ class GivenSettings(TypedDict, total=False):
     split: str
 
 
-SETTINGS = tuple(GivenSettings.__annotations__)
+class GivenSettings(GivenFrame, GivenView, total=False):
+    """Settings by keyword: of the frame, and from where and in which light the scene is seen (`GivenView`)."""
+
+
+SETTINGS = (*GivenFrame.__annotations__, *VIEW)
+
+
+def parted(given: GivenSettings) -> tuple[dict[str, Any], GivenView]:
+    """The settings of the frame, and those of the view."""
+    view = {name: value for name, value in given.items() if name in VIEW}
+    return {name: value for name, value in given.items() if name not in VIEW}, cast(GivenView, view)

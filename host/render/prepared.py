@@ -10,6 +10,7 @@ from raygrid.host.image.frames import Ends, Turntable
 from raygrid.host.render.machine_job import Job
 from raygrid.host.scene.scene import Scene
 from raygrid.host.scene.sources import Sources
+from raygrid.host.scene.view import View
 
 
 @dataclass(frozen=True)
@@ -17,7 +18,7 @@ class PreparedFrame:
     """A frame that is ready for the array.
 
     job       whose `load_key` tells of the planes between cells, the surfaces, where they are, and the program
-    contents  a digest of the scene's files, and of the turntable it stands on
+    contents  a digest of the scene's files, of the turntable it stands on, and of the view that is asked for
     remarks   on the scene
     files     that the scene is made of
     """
@@ -53,9 +54,14 @@ def turned(scene: Scene, turn: Turntable | None) -> Scene:
     return turntable(scene, turn.frames, turn.turn_scene)
 
 
-def contents_of_shot(sources: Sources, turn: Turntable | None) -> str:
-    """A digest of the files of a scene that moves, and of the turntable it stands on."""
-    return f"{sources.digest()} {turn}"
+def contents_of_still(sources: Sources, view: View) -> str:
+    """A digest of the files of a scene, and of the view that is asked for."""
+    return sources.digest() if view == View() else f"{sources.digest()} {view}"
+
+
+def contents_of_shot(sources: Sources, turn: Turntable | None, view: View) -> str:
+    """A digest of the files of a scene that moves, of the turntable it stands on, and of the view that is asked for."""
+    return f"{contents_of_still(sources, view)} {turn}"
 
 
 def remarks_on(scene: Scene, frame: int | None) -> tuple[str, ...]:

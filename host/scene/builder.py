@@ -19,6 +19,7 @@ from raygrid.host.scene.polygons import (
     select_polygons,
     triangulate,
 )
+from raygrid.host.scene.smooth_normals import CREASE, MOST_SMOOTHED, crease_for, smooth_normals
 from raygrid.node.errors import SceneError
 from raygrid.node.geometry import (
     F64,
@@ -131,6 +132,22 @@ class SceneBuilder:
         if kind == Kind.SMOOTH:
             data = _with_unit_normals(data)
         self._take(kind, data, materials, order, len(data), np.zeros(0, np.int64))
+
+    def add_facets(self, data: F64, materials: ArrayLike, order: Ints | None = None, crease: float = CREASE) -> None:
+        """Take the triangles of a mesh without normals, (n, 9), smooth across edges that bend by no more degrees than the
+        crease, or than the one that is asked for (`smooth_normals.crease_for`). Of too many all stay flat, with a remark."""
+        order = np.arange(self.next_order, self.next_order + len(data)) if order is None else order
+        every, angle = np.broadcast_to(materials, order.shape), crease_for(crease)
+        if angle > 0.0 and len(data) > MOST_SMOOTHED:
+            self.remarks.append(
+                f"{len(data):,} triangles stay flat: only up to {MOST_SMOOTHED:,} of a mesh are made smooth"
+            )
+            angle = 0.0
+        normals, bent = smooth_normals(self._checked(data).reshape(-1, 3, 3), angle)
+        self.add(Kind.TRIANGLE, data[~bent], every[~bent], order[~bent])
+        if bent.any():
+            both = np.concatenate((data[bent], normals[bent].reshape(-1, 9)), axis=1)
+            self.add(Kind.SMOOTH, both, every[bent], order[bent])
 
     def add_polygons(self, points: F64, starts: Ints, materials: ArrayLike, order: Ints | None = None) -> None:
         """Take polygons: points (p, 3), starts (n + 1,) as in a Batch, materials (n,) or one number for all.

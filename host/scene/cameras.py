@@ -12,7 +12,8 @@ which length the half height spans (`Span`).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -108,26 +109,106 @@ def orthographic_camera(eye: ArrayLike, at: ArrayLike, up: ArrayLike, height: fl
     return Camera(*_frame(eye, at, up), height / 2.0, Span.EDGES, orthographic=True)
 
 
-def look_at_everything(bounds: ArrayLike, up: Vector = (0.0, 1.0, 0.0)) -> Camera:
+@dataclass(frozen=True)
+class NamedCamera:
+    """One of the cameras of a scene. `pose` gives it in a frame of the shot; None: it stays."""
+
+    name: str
+    camera: Camera
+    pose: Callable[[int], Camera] | None = None
+
+
+# Where a camera stands that sees everything: so much of the front, of the viewer's right as seen from there, and of up.
+STANDS = {
+    "front": (1.0, 0.0, 0.0),
+    "back": (-1.0, 0.0, 0.0),
+    "left": (0.0, -1.0, 0.0),
+    "right": (0.0, 1.0, 0.0),
+    "top": (0.0, 0.0, 1.0),
+    "bottom": (0.0, 0.0, -1.0),
+    "three-quarter": (1.0, 0.65, 0.45),
+    "iso": (1.0, 1.0, 1.0),
+}
+
+
+def usual_front(up: ArrayLike) -> Vector:
+    """The side that is the front unless a scene knows better, perpendicular to what is up: +z if y is up, -y if z is, as
+    modelling programs have it."""
+    upward = np.asarray(up, np.float64)
+    towards = np.array((0.0, -1.0, 0.0)) if _is_vertical(upward) else np.array((0.0, 0.0, 1.0))
+    return _level(towards, upward)
+
+
+def look_at_everything(bounds: ArrayLike, up: Vector = (0.0, 1.0, 0.0), front: Vector | None = None) -> Camera:
     """A three-quarter view from the front, the right and above that frames the whole box, (2, 3).
 
-    `up` is the axis that points up, (0, 1, 0) or (0, 0, 1). The front is +z in the first case and -y in the second,
-    as modelling programs have it. Both sides of the picture see the whole box, whatever its aspect.
+    `front`: to that side, None: `usual_front`. Both sides of the picture see the whole box, whatever its aspect.
+    """
+    return fitted_camera(bounds, up, front, "three-quarter", DEFAULT_FOV)
+
+
+def fitted_camera(bounds: ArrayLike, up: Vector, front: Vector | None, stand: str, fov: float) -> Camera:
+    """A camera that frames the whole box, (2, 3), whatever the picture's aspect, from one of STANDS.
+
+    up, front  of the world; `front` need not be perpendicular, None: `usual_front`
+    fov        degrees across the shorter side of the picture; iso has parallel rays, and none
+    Raises SceneError as `perspective_camera` does.
     """
     low, high = np.asarray(bounds, np.float64)
-    upward = np.array(up)
-    front = np.array((0.0, -1.0, 0.0)) if abs(upward[2]) > 0.5 else np.array((0.0, 0.0, 1.0))
-    towards = front + 0.65 * np.cross(upward, front) + 0.45 * upward
+    upward = np.asarray(up, np.float64)
+    upward = upward / np.abs(upward).max()
+    upward = upward / lengths(upward)
+    if front is None or abs(dot(np.array(front), upward)) > 0.99:
+        front = usual_front(upward)
+    ahead = np.array(_level(np.array(front), upward))
+    to_front, to_right, to_up = STANDS[stand]
+    towards = to_front * ahead + to_right * np.cross(upward, ahead) + to_up * upward
+    lifted = upward if to_front or to_right else -to_up * ahead  # from above the back is at the top of the picture
     centre = (low + high) / 2.0
-    forward, right, lift = (np.array(v) for v in _frame(centre + towards, centre, upward)[1:])
-    half = rounded.tan(math.radians(DEFAULT_FOV) / 2.0)
+    forward, right, lift = (np.array(v) for v in _frame(centre + towards, centre, lifted)[1:])
+    half = _half_angle(fov)
     corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
     offsets = corners - centre
     reach = np.maximum(np.abs(dot(offsets, right)), np.abs(dot(offsets, lift))) * FRAME_MARGIN
-    distance = float(np.max(reach / half - dot(offsets, forward)))
+    parallel = stand == "iso"
+    deep = dot(offsets, forward)
+    distance = float(np.max(reach) - deep.min()) if parallel else float(np.max(reach / half - deep))
     # A scene of one point has no size to frame: stay so far away that the eye is another point, rounded too.
     eye = centre - forward * (max(distance, 1e-6 * float(np.abs(centre).max())) or 1.0)
-    return Camera(_triple(eye), _triple(forward), _triple(right), _triple(lift), half, Span.NARROW)
+    half = (float(np.max(reach)) or 1.0) if parallel else half
+    return Camera(
+        _triple(eye), _triple(forward), _triple(right), _triple(lift), half, Span.NARROW, orthographic=parallel
+    )
+
+
+def redirected_camera(
+    base: Camera, eye: ArrayLike | None, at: ArrayLike | None, up: ArrayLike | None, fov: float | None
+) -> Camera:
+    """A camera with another place, aim, up or angle (degrees from the upper edge to the lower); None: that of `base`.
+
+    Raises SceneError as `perspective_camera` does.
+    """
+    start = np.asarray(base.eye if eye is None else eye, np.float64)
+    if at is None:  # so far ahead that rounding does not turn it
+        at = start + np.array(base.forward) * max(1.0, float(np.abs(start).max()))
+    place, forward, right, lift = _frame(start, at, base.up if up is None else up)
+    made = replace(base, eye=place, forward=forward, right=right, up=lift)
+    return made if fov is None else replace(made, half=_half_angle(fov), span=Span.EDGES, orthographic=False)
+
+
+def _is_vertical(up: NDArray[np.float64]) -> bool:
+    return bool(abs(up[2]) > 0.5 * np.abs(up).sum())
+
+
+def _level(towards: NDArray[np.float64], up: NDArray[np.float64]) -> Vector:
+    """The direction next to `towards` that is perpendicular to `up`; another axis takes its place if they are parallel."""
+    unit = up / lengths(up)
+    for direction in (towards, np.array((1.0, 0.0, 0.0))):
+        level = direction - dot(direction, unit) * unit
+        length = float(lengths(level))
+        if length > 1e-3:
+            break
+    return _triple(level / length)
 
 
 def _half_angle(angle: float) -> float:

@@ -10,8 +10,9 @@ from contextvars import ContextVar
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Unpack
 
+from raygrid.host.scene.view import VIEW, GivenView, view_of
 from raygrid.host.text.clean_text import printable
 from raygrid.host.text.misuse import ArrayMisuse, SceneMisuse
 from raygrid.node.errors import ArrayError, SceneError
@@ -19,9 +20,9 @@ from raygrid.node.errors import ArrayError, SceneError
 if TYPE_CHECKING:
     import trimesh
 
-    from raygrid.host.scene.scene import Scene
+    from raygrid.host.scene.scene import Scene, SceneSource
 
-    SceneLike = str | os.PathLike[str] | Scene | trimesh.Trimesh | trimesh.Scene
+    SceneLike = str | os.PathLike[str] | Scene | SceneSource | trimesh.Trimesh | trimesh.Scene
 
 # Suffix: module and function. Imported when needed: the readers of some formats bring in large libraries.
 READERS = {
@@ -35,6 +36,7 @@ READERS = {
 }
 
 
+NO_VIEW = view_of({})
 MOST_REMARKS = 100
 REMEDY = "--allow-outside (in Python allow_outside=True)"
 
@@ -96,14 +98,45 @@ def check_taken(path: str | None, taken: bool) -> None:
         )
 
 
-def load_scene(scene: SceneLike, allow_outside: bool = False, remedy: str = REMEDY) -> Scene:
-    """Read a scene, of any format known, or a trimesh.Trimesh or trimesh.Scene; a Scene is given back as it is.
+def load_scene(scene: SceneLike, allow_outside: bool = False, remedy: str = REMEDY, **view: Unpack[GivenView]) -> Scene:
+    """Read a scene, of any format known, or take one of memory: a raygrid.Scene, a trimesh.Trimesh or a trimesh.Scene; one
+    that was read is given back as it is.
 
     allow_outside  whether it may refer to files outside its folder; of a scene within another the other's was asked
     remedy         what the error says that allows it
+    view           from where and in which light it is to be seen: `raygrid.host.scene.view.GivenView`
     Raises SceneError for an unknown suffix, a missing or unreadable file, and whatever its reader refuses. What the file
-    says comes back fit to be shown, in errors and remarks.
+    says comes back fit to be shown, in errors and remarks. Raises SceneMisuse for a view that cannot be, TypeError for
+    another keyword.
     """
+    unknown = set(view) - set(VIEW)
+    if unknown:
+        raise TypeError(f"load_scene came with {sorted(unknown)}, wanted some of {', '.join(VIEW)}")
+    asked = view_of(view)
+    read = (
+        _read(scene, allow_outside, remedy)
+        if asked.crease is None
+        else _creased(scene, allow_outside, remedy, asked.crease)
+    )
+    if asked == NO_VIEW:
+        return read
+    from raygrid.host.scene.viewpoint import seen
+
+    return seen(read, asked)
+
+
+def _creased(scene: SceneLike, allow_outside: bool, remedy: str, crease: float) -> Scene:
+    """As `_read`, with another crease than meshes would have."""
+    from raygrid.host.scene.scene import Scene
+    from raygrid.host.scene.smooth_normals import crease_asked
+
+    if isinstance(scene, Scene):
+        raise SceneMisuse(f"{scene.name}: a crease came for a scene that was read already, wanted it for load_scene")
+    with crease_asked(crease):
+        return _read(scene, allow_outside, remedy)
+
+
+def _read(scene: SceneLike, allow_outside: bool, remedy: str) -> Scene:
     if not isinstance(scene, str | os.PathLike):
         return _taken(scene)
     from raygrid.host.scene.file_access import reading
@@ -120,12 +153,20 @@ def load_scene(scene: SceneLike, allow_outside: bool = False, remedy: str = REME
     return _shown(read) if whole else read
 
 
-def _taken(given: Scene | trimesh.Trimesh | trimesh.Scene) -> Scene:
+def _taken(given: Scene | SceneSource | trimesh.Trimesh | trimesh.Scene) -> Scene:
     """The scene of an object in memory. Raises SceneMisuse for one that is none."""
-    from raygrid.host.scene.scene import Scene
+    from raygrid.host.scene.scene import Scene, SceneSource
 
     if isinstance(given, Scene):
         return given
+    try:
+        return _shown(given.read() if isinstance(given, SceneSource) else _of_trimesh(given))
+    except SceneError as error:
+        error.args = (printable(str(error)),)
+        raise
+
+
+def _of_trimesh(given: trimesh.Trimesh | trimesh.Scene) -> Scene:
     known = sys.modules.get("trimesh")  # who has such an object has imported it
     if not isinstance(given, tuple(getattr(known, name) for name in ("Trimesh", "Scene") if hasattr(known, name))):
         kind = type(given)
@@ -135,11 +176,7 @@ def _taken(given: Scene | trimesh.Trimesh | trimesh.Scene) -> Scene:
         raise SceneMisuse(f"a scene came as {came}, wanted {wanted}")
     from raygrid.host.scene.formats.trimesh_scene import scene_of_trimesh
 
-    try:
-        return _shown(scene_of_trimesh(given))
-    except SceneError as error:
-        error.args = (printable(str(error)),)
-        raise
+    return scene_of_trimesh(given)
 
 
 def _shown(scene: Scene) -> Scene:

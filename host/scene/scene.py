@@ -6,12 +6,13 @@ about arrays of processors: coordinates are the scene's own, and data is float64
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.host.scene.cameras import Camera
+from raygrid.host.scene.cameras import Camera, NamedCamera, Vector
 from raygrid.host.scene.pose import Animation
 from raygrid.node.geometry import SURFACE_KINDS, SurfaceSet
 from raygrid.node.protocol import DIRECTIONAL
@@ -38,6 +39,9 @@ class Scene:
     rules       numbers of materials for a program, float64 (m, tables.RULE_COLUMNS), None if none has any
     shot        the animation, what changes from frame to frame, None if nothing does; surfaces are at rest then
     up          what points up in the world: as the file says, else as its format has it
+    front       to the side that is seen from the front, None: as usual (`cameras.usual_front`)
+    cameras     all that the file has, `camera` among them; none if it was invented, and may be none if it has one alone
+    camera_invented, lights_invented  whether the file had none
     """
 
     name: str
@@ -54,7 +58,19 @@ class Scene:
     remarks: tuple[str, ...] = ()
     rules: NDArray[np.float64] | None = None
     shot: Animation | None = None
-    up: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    up: Vector = (0.0, 1.0, 0.0)
+    front: Vector | None = None
+    cameras: tuple[NamedCamera, ...] = ()
+    camera_invented: bool = False
+    lights_invented: bool = False
+
+
+class SceneSource(ABC):
+    """What a scene can be made of, in memory."""
+
+    @abstractmethod
+    def read(self) -> Scene:
+        """Make the scene. Raises SceneError for what cannot be one."""
 
 
 def describe(scene: Scene) -> dict[str, object]:
@@ -70,6 +86,7 @@ def describe(scene: Scene) -> dict[str, object]:
         "transparent": int(np.count_nonzero(scene.materials["transmission"].any(axis=1))),
         "lights": [_light(row) for row in scene.lights],
         "camera": _camera(scene.camera),
+        "cameras": [camera.name or str(number) for number, camera in enumerate(scene.cameras, 1)],
         "background": list(scene.background),
         "size": None if scene.size is None else list(scene.size),
         "samples": scene.samples,

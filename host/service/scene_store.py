@@ -11,11 +11,13 @@ from typing import Any
 from raygrid.host.client.requests import SubmitMessage
 from raygrid.host.image.frames import Turntable, frames_of
 from raygrid.host.render.animation_jobs import AnimationJobs
+from raygrid.host.render.given_settings import parted
 from raygrid.host.render.job import Job, Settings, make_job
-from raygrid.host.render.prepared import PreparedFrame, contents_of_shot, remarks_on, turned
-from raygrid.host.scene.load import load_scene
+from raygrid.host.render.prepared import PreparedFrame, contents_of_shot, contents_of_still, remarks_on, turned
+from raygrid.host.scene.load import NO_VIEW, load_scene
 from raygrid.host.scene.scene import Scene
 from raygrid.host.scene.sources import Sources, recorded
+from raygrid.host.scene.view import View, view_of
 from raygrid.node.geometry import Moves
 
 MOST_KEPT = 4  # scenes and settings
@@ -30,12 +32,14 @@ class FrameRequest:
     path      of the scene's file
     turn      makes a shot of a still scene; None: the scene as it is
     frames    first and last of the job; None: it names none
+    view      from where and in which light the scene is seen
     """
 
     path: str
     settings: Settings
     turn: Turntable | None = None
     frames: tuple[int, int] | None = None
+    view: View = NO_VIEW
 
     def check_frames(self, scene: Scene) -> None:
         """Raise SceneError for frames that the scene has not: before the first of the job, not after many."""
@@ -49,7 +53,9 @@ def wanted_by(submit: SubmitMessage) -> FrameRequest:
 
     program = None if submit.program is None else read_program(submit.program)
     turn = None if submit.turntable is None else Turntable(submit.turntable.frames, submit.turntable.scene)
-    return FrameRequest(submit.scene, Settings(**dict(submit.settings), program=program), turn, submit.frames)
+    frame, view = parted(submit.settings.given())
+    settings = Settings(**frame, program=program)
+    return FrameRequest(submit.scene, settings, turn, submit.frames, view_of(view))
 
 
 @dataclass(frozen=True)
@@ -69,23 +75,23 @@ class SceneStore:
 
     def __init__(self, shape: Shape, allow_outside: bool = False) -> None:
         self._shape, self._allow_outside = shape, allow_outside
-        self._scenes: OrderedDict[str, tuple[Sources, Scene]] = OrderedDict()
+        self._scenes: OrderedDict[tuple[str, View], tuple[Sources, Scene]] = OrderedDict()
         self._ready: OrderedDict[FrameRequest, tuple[Scene, PreparedFrame]] = OrderedDict()
         self._shots: OrderedDict[FrameRequest, _StoredAnimation] = OrderedDict()
 
-    def scene(self, path: str) -> tuple[Sources, Scene]:
-        """The scene of a file as it is now, and what it was read from. Raises SceneError."""
-        kept = self._scenes.pop(path, None)
+    def scene(self, path: str, view: View = NO_VIEW) -> tuple[Sources, Scene]:
+        """The scene of a file as it is now and a view shows it, and what it was read from. Raises SceneError."""
+        kept = self._scenes.pop((path, view), None)
         if kept is None or kept[0].changed():
             with recorded() as sources:
-                scene = load_scene(path, self._allow_outside, "raygrid up --allow-outside")
+                scene = load_scene(path, self._allow_outside, "raygrid up --allow-outside", **view.given())
             kept = sources, scene
-        _keep(self._scenes, path, kept)
+        _keep(self._scenes, (path, view), kept)
         return kept
 
     def frame(self, wanted: FrameRequest, frame: int | None) -> PreparedFrame:
         """A frame of the scene as its files are now; None: a shot's first. Raises SceneError."""
-        sources, scene = self.scene(wanted.path)
+        sources, scene = self.scene(wanted.path, wanted.view)
         if scene.shot is not None or wanted.turn is not None:
             return self._shot_frame(scene, sources, wanted, frame)
         wanted.check_frames(scene)
@@ -94,7 +100,12 @@ class SceneStore:
         if kept is None or kept[0] is not scene:
             job = make_job(scene, self._shape, wanted.settings)
             job = replace(job, load_key=_digest_of_load(job) + _digest_of_program(wanted.settings))
-            kept = scene, PreparedFrame(job, sources.digest(), remarks_on(scene, frame), tuple(sources.files))
+            kept = (
+                scene,
+                PreparedFrame(
+                    job, contents_of_still(sources, wanted.view), remarks_on(scene, frame), tuple(sources.files)
+                ),
+            )
         _keep(self._ready, key, kept)
         return kept[1]
 
@@ -104,7 +115,7 @@ class SceneStore:
         job = kept.jobs.job(1 if frame is None else frame)
         assert job.moves is not None
         key = kept.shared + _digest_of_moves(job.moves) + _digest_of_program(wanted.settings)
-        contents, remarks = contents_of_shot(sources, wanted.turn), remarks_on(scene, frame)
+        contents, remarks = contents_of_shot(sources, wanted.turn, wanted.view), remarks_on(scene, frame)
         return PreparedFrame(replace(job, load_key=key), contents, remarks, tuple(sources.files))
 
     def _shot(self, scene: Scene, wanted: FrameRequest) -> _StoredAnimation:

@@ -30,8 +30,7 @@ class Record(ctypes.Structure):
     @classmethod
     def rows(cls, count: int = 1) -> Rows:
         """Records for compiled code, (count,), all fields zero."""
-        rows = np.zeros(count, cls.dtype)
-        return rows.view(np.recarray) if config.DISABLE_JIT else rows  # which has fields as attributes in Python, too
+        return np.zeros(count, cls.dtype)
 
     @classmethod
     def view(cls, rows: Rows, row: int = 0) -> Self:
@@ -54,4 +53,6 @@ def record(declared: type[AnyRecord]) -> type[AnyRecord]:
     """Make the annotated names of a class its fields, int64 each, in this order."""
     declared._fields_ = [(name, ctypes.c_int64) for name in inspect.get_annotations(declared)]
     declared.dtype = np.dtype(declared)
+    if config.DISABLE_JIT:  # kernels are Python then, for which fields are attributes of such records alone
+        declared.dtype = np.dtype((np.record, declared.dtype))
     return declared

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from oracle import read_nff, render
 from support.oracle import oracle_scene, sample_offsets
 from support.render import EIGHT, ONE, SCENES, noticeable, psnr, rendered, shared
@@ -94,6 +95,17 @@ def test_pictures_of_odd_sizes(name, size):
     scene = replace(scene, camera=replace(scene.camera, eye=(x + 0.01, y + 0.02, z)))
     truth, counts = render(oracle_scene(scene, *size), *size)
     check(scene, truth, counts, size=size, samples=1, depth=5)
+
+
+@pytest.mark.parametrize("crease", [0, 40])
+def test_meshes_without_normals_from_another_side(tmp_path, crease):
+    """The oracle has the same normals, and the camera that was asked for."""
+    ball = trimesh.creation.icosphere(2)
+    ball.apply_scale((1.0, 1.3, 0.7))
+    (tmp_path / "ball.obj").write_text(ball.export(file_type="obj", include_normals=False))
+    scene = load_scene(tmp_path / "ball.obj", crease=crease, eye=(3, 2, -2.5), fov=40, lights=[(4, 5, -3, 1, 0.9, 0.8)])
+    truth, counts = render(oracle_scene(scene, 64, 48), 64, 48)
+    check(scene, truth, counts, size=(64, 48), samples=1, depth=5)
 
 
 @pytest.mark.parametrize("depth", [1, 2, 9])

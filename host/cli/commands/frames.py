@@ -16,6 +16,7 @@ from raygrid.host.image.frames import FrameNames, frames_of, longest_number, pat
 from raygrid.host.image.moving_pictures import Reel, check_played, padding, waiting
 from raygrid.host.image.outputs import check_named, check_picture_path, check_side, write_result
 from raygrid.host.scene.load import check_name
+from raygrid.host.scene.view import view_of
 from raygrid.host.text.misuse import OutputMisuse
 
 if TYPE_CHECKING:
@@ -71,6 +72,7 @@ def run_frames(request: RenderRequest) -> None:
     """Launch, read, and for each frame load or increment, trace, collect, write. Raises RaygridError."""
     begun = time.perf_counter()
     check_name(request.scene)
+    view_of(request.view)
     names = _check_names(request)
     sweep_folders()
     with ProgressReporter(request.quiet, request.program is not None) as reporter, contextlib.ExitStack() as stack:
@@ -120,10 +122,10 @@ def _read(request: RenderRequest, names: FrameNames, reporter: ProgressReporter)
     from raygrid.host.scene.sources import recorded
 
     with recorded() as sources:
-        scene = load_scene(request.scene)
+        scene = load_scene(request.scene, **request.view)
     for remark in scene.remarks:
         reporter.remark(remark)
-    contents = contents_of_shot(sources, request.turntable)
+    contents = contents_of_shot(sources, request.turntable, view_of(request.view))
     scene = turned(scene, request.turntable)
     numbers = list(frames_of(scene, request.frames))
     check_outputs(names.every(numbers))  # now that all is read

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from typing import Any
 
 from raygrid.emulator.analysis import NaiveMachine, Outcome, Waiting, surely_free
 from raygrid.emulator.processes import ANALYSIS
@@ -13,6 +12,7 @@ from raygrid.host.cli.commands.simulate import compiling
 from raygrid.host.cli.progress import ProgressReporter
 from raygrid.host.image.outputs import write_lines, write_result
 from raygrid.host.render.animation_jobs import still_job
+from raygrid.host.render.given_settings import GivenSettings, parted
 from raygrid.host.render.job import Job, Settings
 from raygrid.host.scene.load import load_scene
 from raygrid.node.main import PORT_NAMES
@@ -27,7 +27,7 @@ class JamRequest:
     room      packets that a link's buffer holds
     budget    primary rays alive at once in the run with admission; None: as many as can surely not jam, 1 at least
     frame     of a shot, None for its first
-    settings  of `raygrid.host.render.machine_job.Settings`
+    settings  of the frame and of the view
     """
 
     scene: str
@@ -36,13 +36,14 @@ class JamRequest:
     budget: int | None
     as_json: bool
     frame: int | None
-    settings: dict[str, Any]
+    settings: GivenSettings
 
 
 def run_jam(request: JamRequest) -> None:
     """Run the model without admission and with it, and print how both ended. Raises RaygridError."""
-    scene = load_scene(request.scene)
-    settings = {**request.settings, "size": request.settings.get("size") or DEFAULT_SIZE}
+    of_frame, view = parted(request.settings)
+    scene = load_scene(request.scene, **view)
+    settings = {**of_frame, "size": of_frame.get("size") or DEFAULT_SIZE}
     with ProgressReporter(False) as reporter, compiling(reporter, ANALYSIS):
         reporter.phase(f"splitting {scene.name}")
         job = still_job(scene, request.shape, Settings(**settings), request.frame)

@@ -17,6 +17,7 @@ from raygrid.host.cli.progress import ProgressReporter
 from raygrid.host.files.input_guard import check_outputs
 from raygrid.host.image.outputs import check_named, check_path, check_picture_path, check_side, write_names
 from raygrid.host.scene.load import check_allowed, check_name
+from raygrid.host.scene.view import view_of
 
 if TYPE_CHECKING:
     from raygrid.host.image.picture import Encoder, Picture
@@ -33,6 +34,7 @@ def run_render(request: RenderRequest) -> None:
     pictures, stats = request.names.of(None), request.names.stats_of(None)
     begun = time.perf_counter()
     check_name(request.scene)
+    view_of(request.view)
     if request.cost is not None:
         _prices(request.cost, request.search)
     _check_outputs(request, pictures, stats)
@@ -117,7 +119,7 @@ def _read_job(
         from raygrid.host.render.job import make_job
         from raygrid.host.render.prepared import remarks_on
 
-    scene = load_scene(request.scene)
+    scene = load_scene(request.scene, **request.view)
     for remark in remarks_on(scene, None):
         reporter.remark(remark)
     job = make_job(scene, request.shape, request.read_settings(), wait_warm)

@@ -8,10 +8,12 @@ from raygrid.emulator.processes import Array
 from raygrid.host.cli.progress import ProgressReporter
 from raygrid.host.files.input_guard import note
 from raygrid.host.image.frames import FrameNames, Turntable, wants_shot
+from raygrid.host.render.given_settings import parted
 
 if TYPE_CHECKING:
     from raygrid.host.render.given_settings import GivenSettings
     from raygrid.host.render.job import Settings
+    from raygrid.host.scene.view import GivenView
     from raygrid.node.links import FaultPlan
 
 
@@ -23,7 +25,7 @@ class RenderRequest(NamedTuple):
     outputs   paths of pictures and sums
     stats     path of the statistics, or None
     profile   whether to say where the nodes' time went
-    settings  of `raygrid.host.render.machine_job.Settings`
+    settings  of the frame and of the view
     cost      a cost model for machine time, or None: no machine time is kept
     search    list, tree, or None: as the cost model says
     frames    first and last frame of a shot, or None
@@ -74,6 +76,11 @@ class RenderRequest(NamedTuple):
         """The files of what probes tell."""
         return [path for path in (self.probe_record, self.chrome_trace) if path is not None]
 
+    @property
+    def view(self) -> GivenView:
+        """From where and in which light the scene is to be seen."""
+        return parted(self.settings)[1]
+
     def launching(self, reporter: ProgressReporter) -> Array:
         """The array that is asked for, not yet begun."""
         first = self.shape, self.batch, self.patience, reporter.warming, self.fault
@@ -84,7 +91,9 @@ class RenderRequest(NamedTuple):
         from raygrid.host.render.job import Settings
         from raygrid.host.render.program_file import read_program
 
-        return Settings(**self.settings, program=None if self.program is None else read_program(self.program))
+        return Settings(
+            **parted(self.settings)[0], program=None if self.program is None else read_program(self.program)
+        )
 
     def note_read(self) -> None:
         """Note what is named to be read, before it is: no output may be one of them."""

@@ -19,7 +19,9 @@ from raygrid.host.image.outputs import (
     made_folder,
     write_lines,
 )
+from raygrid.host.render.given_settings import GivenSettings, parted
 from raygrid.host.scene.load import check_name
+from raygrid.host.scene.view import view_of
 
 if TYPE_CHECKING:
     from raygrid.host.machine_time.simulate import Simulated
@@ -40,7 +42,7 @@ class SimulateRequest:
     band      low and high costs, too
     outputs, stats, table, plots   paths to write, plots being a folder
     frame     of a shot, None for its first
-    settings  of `raygrid.host.render.machine_job.Settings`
+    settings  of the frame and of the view
     """
 
     scene: str
@@ -55,12 +57,13 @@ class SimulateRequest:
     transfer: str
     quiet: bool
     frame: int | None
-    settings: dict[str, Any]
+    settings: GivenSettings
 
 
 def run_simulate(request: SimulateRequest) -> None:
     """Read, simulate, write, and say what came out. Raises RaygridError."""
     check_name(request.scene)
+    view_of(parted(request.settings)[1])
     _check_outputs(request)
     with ProgressReporter(request.quiet) as reporter:
         done = _simulate(request, reporter)
@@ -81,7 +84,8 @@ def _simulate(request: SimulateRequest, reporter: ProgressReporter) -> Simulated
     from raygrid.host.scene.load import load_scene
 
     cost = load_cost_model(request.cost)
-    scene = load_scene(request.scene)
+    settings, view = parted(request.settings)
+    scene = load_scene(request.scene, **view)
     for remark in scene.remarks:
         reporter.remark(remark)
     if told_frame := frame_told(scene, request.frame):
@@ -90,7 +94,7 @@ def _simulate(request: SimulateRequest, reporter: ProgressReporter) -> Simulated
     with compiling(reporter):
         from raygrid.host.machine_time.simulate import simulate_job
 
-        job = still_job(scene, request.shape, Settings(**request.settings), request.frame)
+        job = still_job(scene, request.shape, Settings(**settings), request.frame)
         for output in request.outputs:
             check_side(output, job.frame.width, job.frame.height)
         reporter.phase("simulating")

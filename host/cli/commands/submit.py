@@ -17,7 +17,9 @@ from raygrid.host.files.input_guard import STANDARD, check_outputs, note
 from raygrid.host.image.frames import Ends, FrameNames, default_outputs, frames_of, longest_number, path_of, wants_shot
 from raygrid.host.image.moving_pictures import check_played
 from raygrid.host.image.outputs import check_named, check_picture_path, write_result
+from raygrid.host.render.given_settings import parted
 from raygrid.host.scene.load import check_name, check_program_name
+from raygrid.host.scene.view import view_of
 from raygrid.host.text.misuse import OutputMisuse
 from raygrid.node.errors import ArrayError, SceneError
 
@@ -98,13 +100,14 @@ def _frames(order: SubmitRequest) -> Ends | None:
         return 1, order.turntable.frames
     from raygrid.host.scene.load import load_scene
 
-    numbers = frames_of(load_scene(order.scene), None)
+    numbers = frames_of(load_scene(order.scene, **parted(order.settings)[1]), None)
     return numbers[0], numbers[-1]
 
 
 def _check(order: SubmitRequest) -> None:
     """What can be seen to be wrong before the array is asked. Raises SceneError, OutputError."""
     check_name(order.scene)
+    view_of(parted(order.settings)[1])
     named = [*order.outputs] + ([] if order.stats is None else [order.stats])
     for what, path in (("scene", order.scene), *(("output", path) for path in named)):
         absolute(what, path)

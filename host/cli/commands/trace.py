@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import dataclass
-from typing import Any
 
 from raygrid.emulator.processes import ANALYSIS
 from raygrid.host.cli.commands.simulate import compiling
@@ -13,6 +12,7 @@ from raygrid.host.cli.progress import ProgressReporter
 from raygrid.host.cli.trace import Facts, headline, plain_lines, ray_line, sample_line, trace_pixel
 from raygrid.host.image.outputs import write_result
 from raygrid.host.render.animation_jobs import still_job
+from raygrid.host.render.given_settings import GivenSettings, parted
 from raygrid.host.render.job import Settings
 from raygrid.host.scene.load import load_scene
 
@@ -24,7 +24,7 @@ class TraceRequest:
     pixel     column and row, 0,0 top left
     sample    the only sample to show, or None for all
     frame     of a shot, None for its first
-    settings  of `raygrid.host.render.machine_job.Settings`
+    settings  of the frame and of the view
     """
 
     scene: str
@@ -33,15 +33,16 @@ class TraceRequest:
     sample: int | None
     as_json: bool
     frame: int | None
-    settings: dict[str, Any]
+    settings: GivenSettings
 
 
 def run_trace(request: TraceRequest) -> None:
     """Load the scene into an array in memory, trace the pixel, print its tree. Raises RaygridError."""
-    scene = load_scene(request.scene)
+    settings, view = parted(request.settings)
+    scene = load_scene(request.scene, **view)
     with ProgressReporter(False) as reporter, compiling(reporter, ANALYSIS):
         reporter.phase(f"splitting {scene.name}")
-        job = still_job(scene, request.shape, Settings(**request.settings), request.frame)
+        job = still_job(scene, request.shape, Settings(**settings), request.frame)
         reporter.phase(f"tracing pixel {request.pixel[0]},{request.pixel[1]}")
         facts = trace_pixel(job, *request.pixel, request.sample)
     if request.as_json:

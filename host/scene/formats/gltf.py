@@ -16,14 +16,21 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.host.scene.builder import MAX_COORDINATE, SceneBuilder, plural, shown
-from raygrid.host.scene.cameras import Camera, look_at_everything, orthographic_camera, perspective_camera
-from raygrid.host.scene.finish import finish_scene
+from raygrid.host.scene.cameras import (
+    Camera,
+    NamedCamera,
+    look_at_everything,
+    orthographic_camera,
+    perspective_camera,
+)
+from raygrid.host.scene.finish import MANY_CAMERAS, finish_scene
 from raygrid.host.scene.formats.gltf_animation import GltfAnimation, Part, frames_of, part_names, read_animations
 from raygrid.host.scene.formats.gltf_document import Document, JsonObject
 from raygrid.host.scene.formats.gltf_materials import TINTED, GltfMaterial, Materials
@@ -79,7 +86,7 @@ class _GltfReader:
         self.document = document
         self.builder = SceneBuilder(str(document.path))
         self.materials = Materials(document, self.builder.remarks)
-        self.cameras: list[Camera] = []
+        self.cameras: list[NamedCamera] = []
         self.lights: list[Table] = []
         self.skipped = 0  # primitives that are points or lines
         self._numbers: dict[int, int] = {}  # id of a GltfMaterial: its number in the builder
@@ -100,15 +107,28 @@ class _GltfReader:
         if json.get("skins"):
             remarks.append("skins left out: meshes are as the file's nodes place them")
         if len(self.cameras) > 1:
-            remarks.append(f"the first of {len(self.cameras)} cameras used")
-        camera = self.cameras[0] if self.cameras else None
+            names = ", ".join(shown(c.name) if c.name else str(k) for k, c in enumerate(self.cameras[:5], 1))
+            more = ", ..." if len(self.cameras) > 5 else ""
+            remarks.append(f"the first of {len(self.cameras)} {MANY_CAMERAS} {names}{more}")
+        camera = self.cameras[0].camera if self.cameras else None
         for _, first, end in self.moving:
             self.builder.let_move(first, end)
         lights = self._exposed(camera)
         scene = finish_scene(self.builder, self.document.path, camera=camera, lights=lights)
-        return replace(scene, shot=self._animation(scene)) if self.motions else scene
+        scene = replace(scene, cameras=tuple(self.cameras))
+        return self._animated(scene) if self.motions else scene
 
-    def _animation(self, scene: Scene) -> Animation:
+    def _animated(self, scene: Scene) -> Scene:
+        """The scene with what its animations change: also for cameras that are not used, but may be."""
+        poses, shot = self._animation(scene)
+        moving = [part.moves(self.motions) for part in self.camera_parts]
+        cameras = tuple(
+            replace(camera, pose=partial(poses.camera_at, part)) if moves else camera
+            for camera, part, moves in zip(self.cameras, self.camera_parts, moving, strict=True)
+        )
+        return replace(scene, shot=shot, cameras=cameras)
+
+    def _animation(self, scene: Scene) -> tuple[GltfAnimation, Animation]:
         """What the animations change."""
         orders, parts = self.builder.orders, [part for part, _, _ in self.moving]
         ids, numbers = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
@@ -130,7 +150,8 @@ class _GltfReader:
             shown_as / given if given > 0.0 else 1.0,
         )
         groups = make_groups(np.concatenate(ids), np.concatenate(numbers), len(parts))
-        return Animation(frames_of(self._last), tuple(part.name for part in parts), groups, poses.pose)
+        names = tuple(part.name for part in parts)
+        return poses, Animation(frames_of(self._last), names, groups, poses.pose)
 
     def _exposed(self, camera: Camera | None) -> Table | None:
         if not self.lights:
@@ -177,7 +198,9 @@ class _GltfReader:
             self.moving.append((part, first, self.builder.next_order))
         if "camera" in row:
             self.camera_parts.append(part)
-            self.cameras.append(self._camera(self.document.item("cameras", row["camera"]), matrix))
+            lens = self.document.item("cameras", row["camera"])
+            name = str(row.get("name") or lens.get("name") or "")
+            self.cameras.append(NamedCamera(name, self._camera(lens, matrix)))
         if row.get("extensions", {}).get(LIGHTS) is not None:
             self.light_parts.append(part)
             self.lights.append(_light(self._lamp(row), matrix))
@@ -208,7 +231,11 @@ class _GltfReader:
         if "NORMAL" in attributes:
             normals = self.document.accessor(attributes["NORMAL"]).astype(np.float64)
         kind, data, faces = placed_faces(matrix, local, faces, normals)
-        self.builder.add(kind, data, self._face_materials(primitive, faces))
+        materials = self._face_materials(primitive, faces)
+        if normals is None:
+            self.builder.add_facets(data, materials, crease=0.0)  # flat, says the format
+        else:
+            self.builder.add(kind, data, materials)
 
     def _faces(self, primitive: JsonObject, points: int) -> Ints:
         """The triangles' vertices, (t, 3)."""

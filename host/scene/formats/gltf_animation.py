@@ -137,14 +137,16 @@ class GltfAnimation:
         """Pose everything. Raises SceneError for what a group cannot do."""
         time = (frame - 1) / self.fps
         motions = [self._motion(part, time) for part in self.groups]
-        camera = (
-            self.scene.camera if self.camera is None else self.make_camera(self.camera, self.matrix(self.camera, time))
-        )
+        camera = self.scene.camera if self.camera is None else self.camera_at(self.camera, frame)
         lights = self.scene.lights
         if any(part.moves(self.motions) for part in self.lights):
             lights = light_table([self.make_light(part, self.matrix(part, time)) for part in self.lights])
             lights["intensity"] *= self.exposure
         return Pose(np.stack(motions) if motions else at_rest(0), camera, lights, self.scene.materials)
+
+    def camera_at(self, part: Part, frame: int) -> Camera:
+        """The camera of a part in a frame."""
+        return self.make_camera(part, self.matrix(part, (frame - 1) / self.fps))
 
     def matrix(self, part: Part, time: float | None) -> F64:
         """Of a part to the world, (4, 4); without a time as the file places it."""

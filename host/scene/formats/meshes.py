@@ -2,9 +2,8 @@
 
 Axes: OBJ and PLY files have y up, STL files z up. Coordinates stay as they are; the invented camera knows.
 
-Shading: triangles are SMOOTH if the file has normals of vertices and flat if it has none. Nothing is smoothed by the
-angle between faces: which edges are meant to be sharp the file does not say. STL's normals are those of its faces,
-which their corners give anyway, and are not used.
+Shading: triangles are SMOOTH if the file has normals of vertices; if it has none, edges that bend little are taken to be
+meant as smooth (`smooth_normals`). STL's normals are those of its faces, which their corners give anyway, and are not used.
 
 STL files are checked for being whole before trimesh reads them: it returns what it can of one that was cut, or nothing.
 """
@@ -23,7 +22,7 @@ from raygrid.host.scene.finish import Y_UP, Z_UP, finish_scene
 from raygrid.host.scene.formats.mtl import GREY
 from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry import F64, Kind
+from raygrid.node.geometry import F64
 
 STL_HEADER, STL_FACET = 84, 50  # bytes of a binary STL
 
@@ -34,7 +33,7 @@ def load_obj(path: Path) -> Scene:
 
     builder = SceneBuilder(str(path))
     ObjReader(path).read_into(builder)
-    return finish_scene(builder, path, up=Y_UP)
+    return finish_scene(builder, path, up=Y_UP, find_front=True)
 
 
 def load_ply(path: Path) -> Scene:
@@ -43,7 +42,7 @@ def load_ply(path: Path) -> Scene:
 
     builder = SceneBuilder(str(path))
     PlyReader(path, read_bytes(path), builder).read_into()
-    return finish_scene(builder, path, up=Y_UP)
+    return finish_scene(builder, path, up=Y_UP, find_front=True)
 
 
 def load_stl(path: Path) -> Scene:
@@ -63,8 +62,8 @@ def load_stl(path: Path) -> Scene:
     for mesh in geometry:
         if len(getattr(mesh, "faces", ())):
             points: F64 = np.asarray(mesh.vertices, np.float64)
-            builder.add(Kind.TRIANGLE, points[np.asarray(mesh.faces, np.int64)].reshape(-1, 9), grey)
-    return finish_scene(builder, path, up=Z_UP)
+            builder.add_facets(points[np.asarray(mesh.faces, np.int64)].reshape(-1, 9), grey)
+    return finish_scene(builder, path, up=Z_UP, find_front=True)
 
 
 def _check_stl(path: Path, data: bytes) -> None:

@@ -5,7 +5,7 @@ should be an error with a line number, counts relative indices from the end of t
 overlapping triangles, and gives the faces back in another order.
 
 Used of OBJ: v (with colours), vt, vn, f, usemtl, mtllib; everything else is skipped. Faces of any size become
-triangles, SMOOTH if all their corners have normals, else flat.
+triangles, SMOOTH if all their corners have normals, else as `smooth_normals` makes them.
 
 Used of MTL: Kd, Ks, Ns, Ni, d or Tr, Tf, illum, map_Kd. How they are mapped to a material stands at `mtl_material`.
 """
@@ -68,7 +68,7 @@ class ObjReader:
             normals = self._table(b"vn", 3)[used[smooth, :, 2]].reshape(-1, 9)
             both = np.concatenate((data[smooth], normals), axis=1)
             builder.add(Kind.SMOOTH, both, materials[smooth], order[smooth])
-        builder.add(Kind.TRIANGLE, data[~smooth], materials[~smooth], order[~smooth])
+        builder.add_facets(data[~smooth], materials[~smooth], order[~smooth])
 
     def _split(self, text: bytes) -> None:
         text = COMMENT.sub(b"", text.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n"))

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.host.scene.builder import SceneBuilder, plural, shown
-from raygrid.host.scene.formats.mtl import GREY, WHITE
+from raygrid.host.scene.formats.polygon_mesh import PolygonMesh
 from raygrid.host.scene.polygons import Ints
-from raygrid.host.scene.textures import Bytes, as_bytes, bake
+from raygrid.host.scene.textures import Bytes, as_bytes
 from raygrid.node.errors import SceneError
-from raygrid.node.geometry import F64, Kind
+from raygrid.node.geometry import F64
 
 LISTS = ("vertex_indices", "vertex_index")
 RGB, NORMAL = ("red", "green", "blue"), ("nx", "ny", "nz")
@@ -45,18 +45,15 @@ class PlyReader:
         if points is None:
             raise self._error("the vertices have no x, y and z, wanted them")
         corners, starts, faces = self._faces()
-        if len(corners) and (corners.min() < 0 or corners.max() >= len(points)):
-            wrong = corners[(corners < 0) | (corners >= len(points))][0]
-            raise self._error(f"a face has the vertex {int(wrong)}, wanted numbers from 0 to {len(points) - 1}")
-        with np.errstate(all="ignore"):  # numbers that are not finite are refused by name, where they are taken
-            rows, owner = self.builder.triangulate(points[corners], starts)
-        used = corners[rows]
-        materials = self._materials(used, faces[owner])
-        data, normals = points[used].reshape(-1, 9), self._columns("vertex", NORMAL)
-        if normals is None:
-            self.builder.add(Kind.TRIANGLE, data, materials)
-        else:
-            self.builder.add(Kind.SMOOTH, np.concatenate((data, normals[used].reshape(-1, 9)), axis=1), materials)
+        of_faces = self._colours("face")
+        PolygonMesh(
+            points,
+            corners,
+            starts,
+            self._columns("vertex", NORMAL),
+            self._colours("vertex") if of_faces is None else None,
+            None if of_faces is None else of_faces[faces],
+        ).add_to(self.builder)
         self._remark()
 
     def _faces(self) -> tuple[Ints, Ints, Ints]:
@@ -75,19 +72,6 @@ class PlyReader:
             self.builder.remarks.append(f"{plural(int((~kept).sum()), 'face')} of fewer than 3 vertices left out")
         corners = flat.astype(np.int64)[np.repeat(kept, sizes)]
         return corners, np.concatenate(([0], np.cumsum(sizes[kept]))).astype(np.int64), np.flatnonzero(kept)
-
-    def _materials(self, used: Ints, faces: Ints) -> Ints:
-        """The material of each triangle: by the colour of its face, else by those of its vertices, else grey."""
-        tints = self._colours("face")
-        of_vertices = self._colours("vertex") if tints is None else None
-        if tints is not None:
-            tints = tints[faces]
-        elif of_vertices is not None:
-            tints = np.round(of_vertices[used].mean(axis=1)).astype(np.uint8)
-        if tints is None:
-            return np.full(len(used), self.builder.add_materials(GREY))
-        rows, index = bake(WHITE, tints)
-        return self.builder.add_materials(rows, baked=True) + index
 
     def _colours(self, element: str) -> Bytes | None:
         """sRGB bytes, (n, 3); None if there are none. Whole numbers fill their type, others go from 0 to 1."""

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +24,14 @@ from raygrid.host.scene.file_access import read_bytes
 from raygrid.host.scene.finish import NO_CAMERA, NO_LIGHT, UNLIT, finish_scene
 from raygrid.host.scene.formats import toml_schema as schema
 from raygrid.host.scene.formats.mtl import GREY
+from raygrid.host.scene.formats.polygon_mesh import PolygonMesh
 from raygrid.host.scene.formats.toml_animation import SceneAnimation, keyed
 from raygrid.host.scene.formats.toml_errors import Key, checked, located, shown_key
 from raygrid.host.scene.lights import Table, directional_light, light_table, point_light, spot_light
 from raygrid.host.scene.load import load_scene
 from raygrid.host.scene.pose import Animation
 from raygrid.host.scene.scene import Scene
+from raygrid.host.scene.smooth_normals import crease_of_file
 from raygrid.host.scene.transform import moved, placement
 from raygrid.node.errors import SceneError
 from raygrid.node.geometry import F64, NUMBERS, AddedKind, Groups, Kind, make_groups, quaternion_of_angles
@@ -46,12 +49,20 @@ def load_scenefile(path: Path) -> Scene:
         text, tables = read_toml(data)
     except ValueError as error:
         raise SceneError(f"{path}: the TOML cannot be read ({error})") from None
-    return _TomlReader(path, text, checked(path, text, tables)).scene()
+    return TomlReader(path, text, checked(path, text, tables)).scene()
 
 
-class _TomlReader:
-    def __init__(self, path: Path, text: str, file: schema.SceneFile) -> None:
+class TomlReader:
+    """A scene file that was checked, on its way into a builder.
+
+    meshes  of memory, by the names that they have for files
+    """
+
+    def __init__(
+        self, path: Path, text: str, file: schema.SceneFile, meshes: Mapping[str, PolygonMesh] = MappingProxyType({})
+    ) -> None:
         self.path = path
+        self.meshes = meshes
         self.text = text
         self.file = file
         self.builder = SceneBuilder(str(path))
@@ -60,6 +71,7 @@ class _TomlReader:
         self.moving: list[tuple[int, int, str]] = []  # order numbers, first and end, and their group
 
     def scene(self) -> Scene:
+        """Make the scene. Raises SceneError with the key."""
         file, base = self.file, self._included()
         for number, surface in enumerate(file.surfaces):
             with self._in_group(surface.group, ("surfaces", number)):
@@ -91,6 +103,7 @@ class _TomlReader:
             rules=self._rules(len(scene.materials)),
             shot=self._animation(scene, first_lights),
             up=up,
+            front=None,
         )
 
     def _rules(self, materials: int) -> F64 | None:
@@ -130,7 +143,7 @@ class _TomlReader:
                 for name, m in file.materials.items()
                 if m.keys and self.builder.share[self.materials[name]] >= 0
             ),
-            self._camera_of,
+            self.camera_of,
             _light,
             _material,
         )
@@ -233,14 +246,24 @@ class _TomlReader:
         self.builder.add(kind, np.array([[*wide, *narrow]]), number)
 
     def _add_mesh(self, mesh: schema.Mesh, key: Key) -> None:
-        path = self.path.parent / mesh.file
-        if path.suffix.lower() == ".toml":
+        if Path(mesh.file).suffix.lower() == ".toml":
             raise self._error((*key, "file"), f"is {shown(mesh.file)}, wanted a file that is no scene file itself")
         override = None if mesh.material is None else self._material(mesh.material, key)
         try:
-            self._add_scene(load_scene(path), placement(mesh.scale, mesh.rotate), mesh.translate, override)
+            with crease_of_file(mesh.crease):
+                scene = self._mesh_scene(mesh, key)
+            self._add_scene(scene, placement(mesh.scale, mesh.rotate), mesh.translate, override)
         except SceneError as error:
             raise self._error((*key, "file"), f"cannot be placed: {error}") from None
+
+    def _mesh_scene(self, mesh: schema.Mesh, key: Key) -> Scene:
+        """The scene of another file, or of a mesh of memory."""
+        given = self.meshes.get(mesh.file)
+        if given is not None:
+            builder = SceneBuilder(mesh.file)
+            given.add_to(builder)
+            return finish_scene(builder, Path(mesh.file))
+        return load_scene(self.path.parent / mesh.file)
 
     def _add_scene(self, scene: Scene, matrix: F64, shift: tuple[float, ...], override: int | None) -> None:
         """Add the surfaces of another file, with its own materials or one for all."""
@@ -263,12 +286,13 @@ class _TomlReader:
         if c is None:
             return base.camera if base else None
         try:
-            return self._camera_of(c)
+            return self.camera_of(c)
         except SceneError as error:
             raise self._error(("camera",), f"shows nothing: {error}") from None
 
     @staticmethod
-    def _camera_of(c: schema.CameraTable) -> Camera:
+    def camera_of(c: schema.CameraTable) -> Camera:
+        """The camera of a table. Raises SceneError for one that shows nothing."""
         if c.orthographic is not None:
             return orthographic_camera(c.eye, c.at, c.up, c.orthographic)
         return perspective_camera(c.eye, c.at, c.up, DEFAULT_FOV if c.fov is None else c.fov)

@@ -33,8 +33,23 @@ def checked(path: Path, text: str, tables: dict[str, object]) -> SceneFile:
     raise SceneError(_sentence(path, text, tables, (unknown or faults)[0]))
 
 
-def _sentence(path: Path, text: str, tables: dict[str, object], fault: ErrorDetails) -> str:
+def check_item(where: str, tables: dict[str, object], number: int = 0) -> SceneFile:
+    """Check one table of a list, or what else `tables` has, as a file of it alone. Raises SceneError for the first fault.
+
+    number  what the table is called in its list, if it is in one
+    """
+    try:
+        return SceneFile.model_validate(tables)
+    except ValidationError as error:
+        faults = error.errors(include_url=False)
+        unknown = [fault for fault in faults if fault["type"] == "extra_forbidden"]
+        raise SceneError(_sentence(Path(where), "", tables, (unknown or faults)[0], number)) from None
+
+
+def _sentence(path: Path, text: str, tables: dict[str, object], fault: ErrorDetails, number: int = 0) -> str:
     key, tag = _without_tags(fault["loc"], tables)
+    if number and len(key) > 1 and key[1] == 0:
+        key = (key[0], number, *key[2:])
     where, name = located(path, text, key), shown_key(key)
     kind, message = fault["type"], fault["msg"]
     if kind == "missing":

@@ -344,6 +344,7 @@ class Mesh(FileTable):
     scale: Scale = WHITE
     rotate: Point = (0.0, 0.0, 0.0)
     translate: Point = (0.0, 0.0, 0.0)
+    crease: Annotated[float, Strict(), Field(ge=0.0, le=180.0)] | None = None
 
 
 Light = Annotated[PointLight | SpotLight | DirectionalLight, Field(discriminator="kind")]

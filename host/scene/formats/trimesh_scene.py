@@ -1,7 +1,8 @@
 """Takes scenes from memory: a trimesh.Trimesh, or a trimesh.Scene with its graph and its camera.
 
 A mesh becomes what the files become that trimesh writes of it. Triangles are SMOOTH if trimesh would write normals of
-vertices with them: if it was given some, or has computed them because somebody asked. Colours of vertices and faces count
+vertices with them: if it was given some, or has computed them because somebody asked; if not, as a file without
+normals. Colours of vertices and faces count
 as in a PLY file, sRGB; a SimpleMaterial as the MTL, and a PBRMaterial as the glTF material of its numbers; textures of the
 base colour are baked. Of materials trimesh keeps colours as bytes. The y axis points up.
 """
@@ -21,6 +22,7 @@ from raygrid.host.scene.formats.gltf_materials import TINTED, shading
 from raygrid.host.scene.formats.mtl import GREY, STATEMENTS, WHITE, mtl_material
 from raygrid.host.scene.polygons import Ints
 from raygrid.host.scene.scene import Scene
+from raygrid.host.scene.smooth_normals import CREASE
 from raygrid.host.scene.textures import MOST_TEXELS, Bytes, Texture, bake
 from raygrid.host.scene.transform import placed_faces
 from raygrid.node.errors import SceneError
@@ -53,7 +55,7 @@ def scene_of_trimesh(given: trimesh.Trimesh | trimesh.Scene) -> Scene:
             # Attributes of these objects may be anything; whatever has the wrong type or is missing ends here.
             came = f"{type(error).__name__}: {error}"
             raise SceneError(f"{name}: the object cannot be read ({shown(came)})") from error
-        return finish_scene(builder, Path(name), camera=camera)
+        return finish_scene(builder, Path(name), camera=camera, find_front=not reader.physical)
 
 
 class _TrimeshReader:
@@ -61,6 +63,7 @@ class _TrimeshReader:
 
     def __init__(self, builder: SceneBuilder) -> None:
         self.builder = builder
+        self.physical = False  # whether there was a material of glTF
         self._pictures: dict[int, Texture] = {}  # by id of an image: meshes share them
 
     def read_graph(self, scene: trimesh.Scene) -> Camera | None:
@@ -100,7 +103,12 @@ class _TrimeshReader:
         if "vertex_normals" in mesh._cache:  # there is no public way to ask without having them computed
             normals = _table(mesh.vertex_normals, 3, f"{where}: the normals", len(points))
         kind, data, faces = placed_faces(matrix, points, faces, normals)
-        self.builder.add(kind, data, self._materials(mesh, faces, where))
+        materials = self._materials(mesh, faces, where)
+        if normals is None:
+            # What would be written as glTF is flat, as that format says.
+            self.builder.add_facets(data, materials, crease=0.0 if self.physical else CREASE)
+        else:
+            self.builder.add(kind, data, materials)
 
     def _materials(self, mesh: trimesh.Trimesh, faces: Ints, where: str) -> Ints:
         """The material of each triangle: by its texture or the colours of faces or vertices, else one for all."""
@@ -129,6 +137,7 @@ class _TrimeshReader:
         if isinstance(material, SimpleMaterial):
             return _simple(material), PLAINLY_TINTED, material.image
         if isinstance(material, PBRMaterial):
+            self.physical = True
             return self._physical(material, where), TINTED, material.baseColorTexture
         self.builder.remarks.append(f"grey used for a material of the kind {type(material).__name__}")
         return GREY, PLAINLY_TINTED, None

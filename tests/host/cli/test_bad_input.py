@@ -20,7 +20,7 @@ __all__ = ["warm_kernels"]
 pytestmark = pytest.mark.usefixtures("no_leftovers")
 
 GOOD = Path(TINY).read_text()
-PICTURES = ".png .jpg .jpeg .webp .tif .tiff .bmp .ppm .npy"
+PICTURES = ".png .jpg .jpeg .webp .tif .tiff .bmp .ppm .tga .jp2 .pfm .hdr .exr .npy"
 
 
 def refused(outcome, code, line):

@@ -13,6 +13,7 @@ from raygrid.host.client.requests import SubmitMessage, read_job, read_request
 from raygrid.host.image.frames import Turntable
 from raygrid.host.render.job import Settings
 from raygrid.host.render.program_file import read_program
+from raygrid.host.scene.view import View
 from raygrid.host.service.scene_store import FrameRequest, wanted_by
 from raygrid.node.errors import ProtocolError
 
@@ -24,6 +25,18 @@ def test_a_job_has_the_settings_that_were_sent():
     request = read_request(unpack(pack(JOB | {"settings": settings})[4:]))
     assert isinstance(request, SubmitMessage)
     assert wanted_by(request) == FrameRequest("/s.nff", Settings((64, 48), 4, 3, 0.5, True, "uniform"))
+
+
+def test_a_job_has_the_view_that_was_sent():
+    view = {"eye": [0, 2, 8], "up": [0.0, 1.0, 0.0], "fov": 30, "crease": 0, "lights": [[1, 2, 3], [1, 2, 3, 0, 0, 1]]}
+    request = read_request(unpack(pack(JOB | {"settings": view | {"samples": 2}})[4:]))
+    assert isinstance(request, SubmitMessage)
+    wanted = wanted_by(read_job(request.model_dump(mode="json")))
+    lights = ((1.0, 2.0, 3.0), (1.0, 2.0, 3.0, 0.0, 0.0, 1.0))
+    seen = View((0.0, 2.0, 8.0), up=(0.0, 1.0, 0.0), fov=30.0, lights=lights, crease=0.0)
+    assert wanted == FrameRequest("/s.nff", Settings(samples=2), view=seen)
+    for camera in ("top", 2):
+        assert wanted_by(read_request(JOB | {"settings": {"camera": camera}})).view == View(camera=camera)
 
 
 def test_a_job_has_the_turntable_and_the_program_that_were_sent():
@@ -83,6 +96,17 @@ FRAMES = "wanted the first and the last of at most 100,000 frames, from 1 to 999
         ({"settings": {"min_weight": float("nan")}}, "min_weight came as nan, wanted a number from 0 to 1e[+]30"),
         ({"settings": {"split": "clever"}}, "split came as 'clever', wanted balanced or uniform"),
         ({"settings": {"speed": 9}}, "the key 'settings.speed' came, wanted only what submit knows"),
+        ({"settings": {"eye": [0, 1]}}, "eye came as [0, 1], wanted three finite numbers of at most 1e30 in size .*"),
+        ({"settings": {"eye": [0, 1, float("nan")]}}, "eye came as [0, 1, nan], wanted three finite numbers .*"),
+        ({"settings": {"at": [0, 1, 1e31]}}, "at came as .*, wanted three finite numbers of at most 1e30 in size .*"),
+        ({"settings": {"fov": 0}}, "fov came as 0.*, wanted an angle above 0 and at most 179.99 degrees"),
+        ({"settings": {"fit": "behind"}}, "fit came as 'behind', wanted one of: front, back, .*"),
+        (
+            {"settings": {"lights": [[1, 2]]}},
+            "lights came as [[1, 2]], wanted a list of at most 256, each a position x, y, z, .*",
+        ),
+        ({"settings": {"fit": "top", "eye": [0, 1, 2]}}, "--fit .* and --from .* came, wanted one of them"),
+        ({"settings": {"camera": 1.5}}, "camera came as 1.5, wanted the name of a camera, or its number from 1"),
         ({"settings": []}, "settings came as [], wanted a map"),
         ({"budget": 0}, "budget came as 0, wanted a whole number from 1 to 4294967295"),
         ({"transfer": "gamma"}, "transfer came as 'gamma', wanted srgb or linear"),

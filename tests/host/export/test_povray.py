@@ -9,7 +9,8 @@ from click.testing import CliRunner
 from support.render import SCENES, noticeable, psnr, rendered, shared
 
 from raygrid.host.cli.main import cli
-from raygrid.host.export.povray import export_file, pov_lines
+from raygrid.host.export.povray import pov_lines
+from raygrid.host.export.scene_file import export_file
 from raygrid.host.scene.load import load_scene
 from raygrid.node.errors import OutputError, SceneError
 

@@ -91,7 +91,7 @@ def test_several_scenes_in_turn(machine):
 
 def test_a_scene_can_be_loaded_once_and_rendered_often(machine):
     scene = raygrid.load_scene(KINDS)
-    assert isinstance(scene, raygrid.Scene)
+    assert isinstance(scene, raygrid.LoadedScene)
     pictures = [machine.render(scene, size=SIZE, samples=samples) for samples in (1, 4, 1)]
     assert np.array_equal(pictures[0].sums, pictures[2].sums)
     assert [picture.samples for picture in pictures] == [1, 4, 1]
@@ -107,6 +107,36 @@ def test_meshes_in_memory_are_rendered_as_their_files_are(machine, tmp_path):
     (frame,) = machine.render_frames(raygrid.load_scene(mesh), [1], size=SIZE)
     assert np.array_equal(frame.sums, of_file.sums)
     assert len(np.unique(of_file.sums.reshape(-1, 3), axis=0)) > 2
+
+
+def built():
+    scene = raygrid.Scene(size=SIZE)
+    scene.material("mirror", diffuse=0.2, specular=0.7)
+    scene.sphere((0, 1, 0), 1, material="mirror")
+    ball = trimesh.creation.icosphere(2)
+    scene.mesh(np.add(ball.vertices, (2, 1, 0)), ball.faces, colours=np.abs(ball.vertices))
+    scene.polygon([(-4, 0, 4), (4, 0, 4), (4, 0, -4), (-4, 0, -4)])
+    return scene
+
+
+def test_scenes_built_in_memory_are_rendered_as_their_files_are(machine, tmp_path):
+    scene, view = built(), {"fit": "three-quarter", "lights": [(3, 6, 4)], "background": (0.2, 0.3, 0.5), "crease": 60}
+    scene.save(tmp_path / "s.toml")
+    of_file = machine.render(tmp_path / "s.toml", **view)
+    assert np.array_equal(machine.render(scene, **view).sums, of_file.sums)
+    (frame,) = machine.render_frames(scene, [1], **view)
+    assert np.array_equal(frame.sums, of_file.sums)
+    assert not np.array_equal(machine.render(scene, **view | {"crease": 0}).sums, of_file.sums)
+    assert of_file.sums.shape == (SIZE[1], SIZE[0], 3)
+
+
+def test_a_camera_inside_a_wall_is_told(machine):
+    scene = built()
+    scene.box((-9, -1, -6), (9, 9, -5))
+    inside = machine.render(scene, eye=(0, 1, -5.5), at=(1, 1, -5.5), lights=[(0, 9, 9)])
+    assert "the picture is all black: no light reaches what the camera sees; is it behind a wall" in inside.blank()
+    with pytest.raises(raygrid.SceneError, match=r"the camera looks from \(0, 1, 0\) at that same point"):
+        machine.render(scene, eye=(0, 1, 0), at=(0, 1, 0))
 
 
 def test_what_is_no_scene_is_refused_in_one_sentence(machine):

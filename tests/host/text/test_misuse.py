@@ -21,6 +21,7 @@ from raygrid.host.cli.types import (
     PairType,
     ShapeType,
 )
+from raygrid.host.cli.view_options import CameraName, NumbersType
 
 TINY, MOBILE, RINGS = (str(SCENES / name) for name in ("tiny.nff", "mobile.toml", "rings.toml"))
 TORUS = str(SCENES / "programs" / "torus.py")
@@ -34,6 +35,8 @@ BAD: list[tuple[type[click.ParamType], list[str]]] = [
     (PixelType, [*WORDS, "1", "1,2,3", "-1,0", "1.5,0"]),
     (ArrayNameType, ["", ".", "..", "a/b", "x" * 300, "\udce9", "a\0b"]),
     (FileName, ["", "a\0b"]),
+    (NumbersType, [*WORDS, "1", "1,2", "1,2,3,4", "1,2,3,4,5,6,7", "1;2;3", "1,,2", "1,2,nan", "1,2,inf", "1,2,1e31"]),
+    (CameraName, ["", "x" * 1001]),
     (click.Choice, WORDS),
 ]
 # What a command needs besides the option under test.

@@ -37,6 +37,14 @@ def test_the_parts_are_those_of_the_work_and_the_picture_is_the_same():
             assert node[counted] == plain[counted], f"what is done aside shows in {counted}"
 
 
+@pytest.mark.parametrize("profiled", [False, True])
+def test_no_method_is_assigned_over_and_timers_are_off_unless_asked_for(profiled):
+    for processor in MemoryArray((2, 1, 1), profile=profiled).processors:
+        for owner in (processor, processor.node_state):
+            assert not [name for name in vars(owner) if callable(getattr(type(owner), name, None))]
+        assert (processor.profile is not None) == (processor.node_state.timers.clock != 0) == profiled
+
+
 def test_the_table_has_a_line_a_node_and_one_for_all():
     nodes = [
         {"index": [x, 0, 0], "profile": dict.fromkeys(PARTS, 0.5) | {"hit": 2.0 * x, "wait": 3.0}} for x in range(2)

@@ -196,7 +196,7 @@ def test_orthographic_camera_and_the_first_of_several(tmp_path):
         tmp_path, square(nodes=[{"mesh": 0}, {"camera": 0, "translation": [0, 0, 7]}, {"camera": 1}], cameras=cameras)
     )
     assert (scene.camera.orthographic, scene.camera.half, scene.camera.eye) == (True, 2, (0, 0, 7))
-    assert "the first of 2 cameras used" in scene.remarks
+    assert "the first of 2 cameras used; --camera (in Python camera=) chooses another: 1, 2" in scene.remarks
 
 
 def lit(lights, nodes, camera=None):
