@@ -8,7 +8,7 @@ import numpy as np
 
 from raygrid.node.geometry.lattice import HALF, LATTICE, Space, make_space
 from raygrid.node.geometry.surfaces import Batch, Kind, SurfaceSet
-from raygrid.node.protocol import packets
+from raygrid.node.protocol import packing
 from raygrid.node.protocol.frame_tables import Frame
 from raygrid.node.protocol.packing import HALF_DIRECTION
 from support.frames import directional_light, make_frame, material, orthographic, perspective, point_light
