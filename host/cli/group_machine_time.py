@@ -34,8 +34,8 @@ docs/costs.md what the cost models mean and where they come from.
 PREDICT_EXAMPLES = """\b
 Examples:
   raygrid predict scenes/room.glb --array 10x10x10 --cost 8086
-  raygrid predict tetra_6.nff --array 10x10x10 --array 32x1x32 --array 50x50x50 \\
-      --size 1000x1000 --cost t800
+  raygrid predict tetra_6.nff --array 10x10x10 --array 50x50x50 --cost t800 \\
+      --size 1000x1000
   raygrid predict scenes/kinds.nff --array 4x4x4 --cost mine.toml --json
 
 docs/predict.md says how the times are told, what the errors mean, and how often they hold.
