@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+from importlib.util import find_spec
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,22 +24,27 @@ if TYPE_CHECKING:
 FILES = ("busy.png", "links.png", "time.png")
 
 
-def pyplot(*others: str) -> ModuleType:
-    """matplotlib without a display. Raises OutputError if it is not installed; others: libraries that are wanted as well."""
-    try:
-        import matplotlib
-    except ImportError:
-        raise OutputError(f"plots need matplotlib: pip install {' '.join(('matplotlib', *others))}") from None
-    matplotlib.use("Agg")
-    import matplotlib.pyplot
+def check_matplotlib(*others: str) -> None:
+    """Raise OutputError if matplotlib is not installed; others: libraries that are wanted as well."""
+    if find_spec("matplotlib") is None:
+        raise OutputError(f"plots need matplotlib: pip install {' '.join(('matplotlib', *others))}")
 
-    return matplotlib.pyplot
+
+def new_figure(width: float, height: float) -> Figure:
+    """A figure of so many inches that is drawn into files alone.
+
+    It is none of pyplot's, so that the backend of whoever plots in the same process, as notebooks do, stays as it is, and no
+    figure is kept after its last use. Raises OutputError.
+    """
+    check_matplotlib()
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
 
 
 def save_figure(figure: Figure, path: str | Path) -> None:
-    """Write a figure whole or not at all, and free it. Raises OutputError."""
+    """Write a figure whole or not at all. Raises OutputError."""
     write_whole(path, lambda file: figure.savefig(file, format="png", dpi=120))
-    pyplot().close(figure)
 
 
 def save_plots(folder: str | Path, done: Simulated) -> list[str]:
@@ -62,16 +67,13 @@ def save_plots(folder: str | Path, done: Simulated) -> list[str]:
 
 def _layers(values: NDArray[np.float64], shape: tuple[int, int, int], title: str, scale: str) -> Figure:
     """A picture for each layer of the array, all on one scale."""
-    plt = pyplot()
     cube = values.reshape(shape[2], shape[1], shape[0])
     across = min(shape[2], 10)
     down = math.ceil(shape[2] / across)
     size = 2.4 if shape[2] > 1 else 6.0
     wide, high = (max(size * side / max(shape[:2]), 0.8) for side in shape[:2])
-    figure: Figure
-    figure, axes = plt.subplots(
-        down, across, figsize=(wide * across + 1.8, high * down + 1.4), squeeze=False, layout="constrained"
-    )
+    figure = new_figure(wide * across + 1.8, high * down + 1.4)
+    axes = figure.subplots(down, across, squeeze=False)
     for z, axis in enumerate(axes.flat):
         if z >= shape[2]:
             axis.axis("off")
@@ -99,12 +101,11 @@ def _number_processors(axis: Axes, left: bool, bottom: bool) -> None:
 
 def _over_time(done: Simulated, what: str) -> Figure:
     """Packets that wait, processors that serve, packets on links."""
-    plt = pyplot()
     phase = done.frames["middle"]
     bins = phase.ticks // phase.bin_ticks + 1
     seconds = np.arange(bins) * (phase.bin_ticks / done.cost.file.hertz)
-    figure: Figure
-    figure, axes = plt.subplots(2, 1, figsize=(8, 6), sharex=True, layout="constrained")
+    figure = new_figure(8, 6)
+    axes = figure.subplots(2, 1, sharex=True)
     axes[0].plot(seconds, phase.levels[WAITS, :bins], label="packets that wait", linewidth=0.8)
     axes[0].plot(seconds, phase.levels[LINKS, :bins], label="packets on links", linewidth=0.8)
     axes[0].legend(fontsize=8)

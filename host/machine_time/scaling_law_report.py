@@ -12,7 +12,7 @@ import numpy as np
 
 from raygrid.host.image.outputs import write_whole
 from raygrid.host.machine_time.cost_models import CostModel
-from raygrid.host.machine_time.plots import pyplot, save_figure
+from raygrid.host.machine_time.plots import new_figure, save_figure
 from raygrid.host.machine_time.scaling_law import CONFIDENCE, KINDS, Fit, Point, law
 
 if TYPE_CHECKING:
@@ -154,9 +154,8 @@ def _efficiency(point: Point, points: Sequence[Point]) -> str:
 
 def _figure(scene: str, fits: dict[str, Fit]) -> Figure:
     """T against n with the fit; its three terms; square against cubic and efficiency over processors."""
-    plt = pyplot()
-    figure: Figure
-    figure, axes = plt.subplots(2, 2, figsize=(11, 8), layout="constrained")
+    figure = new_figure(11, 8)
+    axes = figure.subplots(2, 2)
     for kind, found in fits.items():
         ns = np.geomspace(1, max(p.n for p in found.points), 200)
         axis = axes[0, 0 if kind == "square" else 1]

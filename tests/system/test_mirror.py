@@ -15,6 +15,7 @@ TESTED_ELSEWHERE: dict[str, dict[str, str]] = {
     "it only names things, and who uses the names is tested": {
         "emulator.processes.process_ended": "emulator/processes/test_fork_server_client.py",
         "emulator.topology.coordinates": "emulator/topology/test_socket_directory.py",
+        "host.render.renderer": "host/client/test_client.py",
         "host.client.facts": "host/service/test_service_commands.py",
         "host.service.events": "host/service/test_service.py",
         "host.service.scribe_calls": "host/service/test_service_hostile.py",
@@ -94,7 +95,6 @@ TESTED_ELSEWHERE: dict[str, dict[str, str]] = {
         "emulator.simulator.sample_order": "emulator/simulator/test_simulator.py",
         "emulator.simulator.shared_tables": "emulator/simulator/test_simulator.py",
         "emulator.topology.topology": "emulator/processes/test_array.py",
-        "host.client.client": "host/service/test_service_clients.py",
         "host.client.service_files": "host/client/test_connection.py",
         "host.export.povray_surfaces": "host/export/test_povray.py",
         "host.export.scene_file": "host/export/test_gltf_file.py",
@@ -109,7 +109,6 @@ TESTED_ELSEWHERE: dict[str, dict[str, str]] = {
         "host.image.resume_check": "host/image/test_frames.py",
         "host.journal.facts": "host/service/test_service_commands.py",
         "host.journal.repair": "host/journal/test_journal.py",
-        "host.machine_time.plots": "host/machine_time/test_scaling_law.py",
         "host.machine_time.scaling_law_report": "host/machine_time/test_scaling_law.py",
         "host.machine_time.simulate": "emulator/simulator/test_simulator.py",
         "host.machine_time.simulate_stats": "emulator/simulator/test_simulator.py",

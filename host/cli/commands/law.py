@@ -55,14 +55,14 @@ def run_law(request: LawRequest) -> None:
 def _run(request: LawRequest, reporter: ProgressReporter) -> list[str]:
     from raygrid.host.cli.commands.simulate import compiling
     from raygrid.host.machine_time.cost_models import load_cost_model
-    from raygrid.host.machine_time.plots import pyplot
+    from raygrid.host.machine_time.plots import check_matplotlib
     from raygrid.host.machine_time.scaling_law import fits_of, sweep
     from raygrid.host.machine_time.scaling_law_report import report_paths, write_report
     from raygrid.host.scene.animation.scene_frames import frame_told
     from raygrid.host.scene.load import load_scene
 
     cost = load_cost_model(request.cost)
-    pyplot("scipy")
+    check_matplotlib("scipy")
     scenes = [load_scene(scene) for scene in request.scenes]
     for scene in scenes:
         if told_frame := frame_told(scene, None, False):

@@ -130,10 +130,10 @@ def _check_outputs(request: SimulateRequest) -> None:
         if path is not None:
             check_path(path)
     if request.plots is not None:
-        from raygrid.host.machine_time.plots import pyplot
+        from raygrid.host.machine_time.plots import check_matplotlib
 
         check_folder(request.plots)
-        pyplot()
+        check_matplotlib()
     note(request.scene, "the same file as the scene")
     check_outputs(_written(request))
 

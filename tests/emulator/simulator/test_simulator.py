@@ -271,7 +271,6 @@ def test_heat_maps_have_axes_with_the_numbers_of_processors(shape):
             assert all(tick == int(tick) and 0 <= tick < shape[side] for tick in seen)
     width, height = figure.get_size_inches()
     assert max(width / height, height / width) < 8.0
-    plots.pyplot().close(figure)
 
 
 @pytest.mark.parametrize(

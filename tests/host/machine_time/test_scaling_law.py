@@ -13,7 +13,7 @@ from support.render import SCENES
 from support.timed import job_of, scene_of, simulated
 
 from raygrid.host.machine_time.cost_models import load_cost_model
-from raygrid.host.machine_time.plots import pyplot
+from raygrid.host.machine_time.plots import check_matplotlib
 from raygrid.host.machine_time.scaling_law import KINDS, Point, fit, law, shape_of, sweep, view_axis
 from raygrid.node.errors import OutputError
 
@@ -157,9 +157,9 @@ def test_command(tmp_path):
 def test_without_matplotlib_the_law_names_all_that_it_wants(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(OutputError, match=r"pip install matplotlib scipy$"):
-        pyplot("scipy")
+        check_matplotlib("scipy")
     with pytest.raises(OutputError, match=r"pip install matplotlib$"):
-        pyplot()
+        check_matplotlib()
 
 
 def test_bad_edges_and_folders_are_one_line(tmp_path):
