@@ -44,7 +44,7 @@ def test_a_picture_comes_back_with_its_statistics_and_is_told_of(array):
     assert np.array_equal(picture.sums, sums(TINY))
     assert (picture.samples, picture.stats["size"], picture.stats["array"]) == (1, list(SIZE), [2, 1, 1])
     assert picture.stats["total"]["born"]["pixel"] > 0
-    assert [now.phase for now in told if now.phase in ("load", "collect", "write")] == ["load", "collect", "write"]
+    assert [now.phase for now in told if now.phase in ("collect", "write")] == ["collect", "write"]
 
 
 def test_scenes_of_memory_have_the_same_bits(array):
