@@ -33,7 +33,7 @@ LONGEST_PIECE = 1 << 16  # bytes that are taken in at once
 
 
 @dataclass
-class _Slot:
+class _AwaitedSlot:
     """An answer that is to come, None if the connection breaks before; cancelled: nobody waits for it any more."""
 
     answer: asyncio.Future[Message | None]
@@ -87,7 +87,7 @@ class AsyncConnection:
         """Take the socket of a connection that was let in."""
         self.record, self._timeout = connection.record, timeout
         self._socket, self._splitter = connection.hand_over()
-        self._slots: deque[_Slot] = deque()
+        self._slots: deque[_AwaitedSlot] = deque()
         self._listeners: list[AsyncEventListener] = []
         self._sending = asyncio.Lock()
         self._closed = False
@@ -104,7 +104,7 @@ class AsyncConnection:
     ) -> Message:
         """Send a request and wait for its answer; arguments and errors as of `Connection.ask`."""
         seconds = timeout or self._timeout
-        slot = _Slot(asyncio.get_running_loop().create_future(), listener)
+        slot = _AwaitedSlot(asyncio.get_running_loop().create_future(), listener)
         try:
             await self._send(packed(request), slot, seconds)
             while not (await asyncio.wait([slot.answer], timeout=seconds))[0]:
@@ -121,7 +121,7 @@ class AsyncConnection:
             raise ArrayError(str(answer["error"]))
         return answer
 
-    async def _send(self, data: bytes, slot: _Slot, seconds: float) -> None:
+    async def _send(self, data: bytes, slot: _AwaitedSlot, seconds: float) -> None:
         """Put a request behind those of others. One of which only a part could be sent ends the connection."""
         try:
             async with asyncio.timeout(seconds), self._sending:

@@ -15,6 +15,7 @@ TESTED_ELSEWHERE: dict[str, dict[str, str]] = {
     "it only names things, and who uses the names is tested": {
         "emulator.processes.process_ended": "emulator/processes/test_fork_server_client.py",
         "emulator.topology.coordinates": "emulator/topology/test_socket_directory.py",
+        "host.facade.aio": "host/client/test_async_client.py",
         "host.render.renderer": "host/client/test_client.py",
         "host.client.facts": "host/service/test_service_commands.py",
         "host.service.events": "host/service/test_service.py",
@@ -29,6 +30,7 @@ TESTED_ELSEWHERE: dict[str, dict[str, str]] = {
         "host.cli.group_inspect": "host/cli/test_main.py",
         "host.cli.group_machine_time": "host/cli/test_main.py",
         "host.cli.group_service": "host/cli/test_main.py",
+        "host.cli.group_start": "host/cli/commands/test_demo.py",
         "host.scene.formats.toml_schema": "host/scene/formats/test_toml.py",
     },
     "it is a part of a kernel, which is compared with its definition or with the oracle as a whole": {
@@ -61,6 +63,7 @@ TESTED_ELSEWHERE: dict[str, dict[str, str]] = {
         "emulator.processes.node_messages": "emulator/processes/test_reset.py",
         "emulator.processes.process_watch": "emulator/processes/test_fork_server_client.py",
         "host.cli.ending": "host/cli/test_stopping.py",
+        "host.client.async_connection": "host/client/test_async_client.py",
         "node.geometry.rigid_motion": "node/geometry/test_bvh_refit.py",
         "node.geometry.surfaces": "node/protocol/test_messages.py",
         "node.jit.decorators": "node/jit/test_cache.py",

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
-class Kind(NamedTuple):
+class DescribedModel(NamedTuple):
     """What has a schema: what it is, and the module and the name of its type."""
 
     title: str
@@ -26,10 +26,10 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "scene": Kind("A scene file of raygrid (.toml)", "host.scene.formats.toml_schema", "SceneFile"),
-    "cost": Kind("A cost model of raygrid (.toml), for --cost", "host.machine_time.cost_models", "CostFile"),
-    "request": Kind("A request to an array that stays", "host.client.requests", "Request"),
-    "sample": Kind("A line of raygrid probe --json, of a recording", "emulator.driver", "NodeSample"),
+    "scene": DescribedModel("A scene file of raygrid (.toml)", "host.scene.formats.toml_schema", "SceneFile"),
+    "cost": DescribedModel("A cost model of raygrid (.toml), for --cost", "host.machine_time.cost_models", "CostFile"),
+    "request": DescribedModel("A request to an array that stays", "host.client.requests", "Request"),
+    "sample": DescribedModel("A line of raygrid probe --json, of a recording", "emulator.driver", "NodeSample"),
 }
 
 
