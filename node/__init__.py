@@ -5,7 +5,7 @@ twice, so this one gives no names. Where to look, with what is taken most:
 
     geometry   the world, its cells, what lies in them: `Space` `World` `Cell` `corners` `Kind` `Batch` `SurfaceSet` `Moves`
     protocol   what travels: `PacketKind` `SIZE` `Frame` `TraceCommand` `Prices` `NodeConfig`, and counts: `BORN` `DIED`
-    tracing    what a processor does with rays: `eye_ray` `closest` `add_missed` `UNIT` `Pixels` `Outputs`
+    tracing    what a processor does with rays: `add_missed` `UNIT` `Pixels` `Outputs`
     links      how it speaks to its neighbours: `Link` `Channel` `ZmqChannel` `memory_channels` `ControlChannel` `FaultPlan`
     programs   code that is loaded into it: `Program` `make_program` `program_order`
     runtime    the living processor: `Processor` `NodeState` `pack_request` `read_reply`

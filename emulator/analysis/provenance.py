@@ -1,28 +1,25 @@
 """Follows the tree of rays that one sample makes, with every cell that each of them crosses: its provenance.
 
 A sample's primary ray is emitted at its home and handed through the nodes' own step, one packet at a time, so whose child
-each packet is, is known and not guessed. What the step does not say (which surface was met, and where) is asked again of
-the same node's tables (`emulator.analysis.requery`); where the two do not agree, ArrayError is raised.
+each packet is, is known and not guessed. The step is an observed one, which also says which surface was met, and where; where
+that does not agree with what it makes of the packet, ArrayError is raised.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-
-from raygrid.emulator.analysis.requery import begin, carries_home, find_hit, sees_outside
-from raygrid.emulator.analysis.single_step import Served, SingleStep, Units
+from raygrid.emulator.analysis.requery import begin, sees_outside
+from raygrid.emulator.analysis.single_step import Served, SingleStep, Units, Vector
 from raygrid.emulator.topology.coordinates import Index, beyond
 from raygrid.node import protocol
 from raygrid.node.errors import ArrayError, SceneError
-from raygrid.node.geometry import DEPTH, HALF, OPPOSITE, PORTS, SELF, Space, SurfaceSet
+from raygrid.node.geometry import HALF, OPPOSITE, PORTS, SELF, Space, SurfaceSet
 from raygrid.node.tracing import MAX_INTENSITY, UNIT
 
 MOST_RAYS = 1_000_000  # of one tree
-Vector = tuple[float, float, float]
 
 
 class Meeting(NamedTuple):
@@ -111,7 +108,6 @@ class Provenance:
     def __init__(self, space: Space, surfaces: SurfaceSet, frame: protocol.Frame, most_rays: int = MOST_RAYS) -> None:
         self._steps = SingleStep(space, surfaces, frame)
         self.space, self.frame, self._most_rays = space, frame, most_rays
-        self._stack, self._scratch = np.zeros(DEPTH, np.int64), np.zeros(protocol.COUNTS, np.int64)
 
     def pixel(self, x: int, y: int, only: int | None = None) -> list[SampleTree]:
         """The samples of a pixel, row 0 on top; `only`: that one. Raises SceneError for a pixel or sample that is not."""
@@ -169,15 +165,16 @@ class Provenance:
     def _ended(self, transit: _InTransit, served: Served) -> list[_InTransit]:
         """Write down how a ray ended."""
         ray, index = transit.ray, transit.index
-        item, surface, material, t, point, direction, inside, _ = self._look(transit)
-        ray.direction = _vector(direction)
+        met, surfaces = served.met, self._steps.nodes[index].surfaces
+        ray.direction = met.direction
         hit, returned = bool(served.counts[protocol.HITS]), bool(served.counts[protocol.BORN + protocol.RETURN])
         if ray.kind == protocol.SHADOW:
             hit = not returned and max(ray.weight) > 0.0
-        if (item >= 0) != hit and not (ray.kind == protocol.SHADOW and max(ray.weight) == 0.0):
+        if (met.item >= 0) != hit and not (ray.kind == protocol.SHADOW and max(ray.weight) == 0.0):
             raise ArrayError(f"node {index}: a ray of depth {ray.depth} ended otherwise than its surfaces say")
-        if item >= 0:
-            ray.met = Meeting(int(surface), int(material), _vector(point), float(t), index)
+        if met.item >= 0:
+            surface, material = int(surfaces.ids[met.item]), int(surfaces.materials[met.item])
+            ray.met = Meeting(surface, material, met.point, met.time, index)
         else:
             ray.left = True
         if returned:
@@ -186,7 +183,7 @@ class Provenance:
         children = [self._child(index, output, packet) for output, packet in served.out]
         children.sort(key=lambda child: (child.ray.kind != protocol.SHADOW, child.ray.light or 0, child.ray.kind))
         turned = [child for child in children if child.ray.kind == protocol.REFLECTED]
-        if inside and turned:  # behind the one that the mirror makes, if it does; it has the whole weight
+        if met.inside and turned:  # behind the one that the mirror makes, if it does; it has the whole weight
             turned[-1].ray.inside = turned[-1].ray.weight == ray.weight
         return children
 
@@ -195,9 +192,7 @@ class Provenance:
         index, pixel = transit.index, protocol.decode(transit.packet).number // self.frame.samples
         cells = [index]
         if not served.out:  # it was at home where it was born, and is in the store already
-            intensity = _vector(transit.ray.weight)
-            if transit.ray.kind != protocol.SHADOW:
-                intensity = _vector(carries_home(self.frame, np.frombuffer(bytearray(transit.packet), np.uint8)))
+            intensity = self._steps.brought_home()
             return CameBack(intensity, _fixed(intensity), cells)
         ((output, packet),) = served.out
         intensity = _vector(protocol.decode(packet).values)
@@ -227,14 +222,6 @@ class Provenance:
         ray = Ray(read.kind, read.depth, (x, y, z), direction, _vector(read.values), read.light)
         ray.cells.append(index)
         return ray
-
-    def _look(self, transit: _InTransit) -> tuple[Any, ...]:
-        node = self._steps.nodes[transit.index]
-        packet = np.frombuffer(bytearray(transit.packet), np.uint8)
-        found: tuple[Any, ...] = find_hit(
-            node.cell, self.space, node.frame, node.surfaces, packet, self._stack, self._scratch
-        )
-        return found
 
     def _check_conserved(self) -> None:
         counts = self._steps.counts()

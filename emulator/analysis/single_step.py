@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from raygrid.emulator.analysis.requery import brought_home
 from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.emulator.topology.coordinates import Index
 from raygrid.emulator.topology.limits import read_resources
@@ -20,11 +21,36 @@ from raygrid.node.errors import TooLarge
 from raygrid.node.geometry import DEPTH, Space, SurfaceSet
 from raygrid.node.protocol import COUNTS, HEAD, SIZE, Frame, frame_order
 from raygrid.node.runtime import NodeState
-from raygrid.node.tracing import DONE, make_outputs, spawn_primaries, spawn_primary
-from raygrid.node.tracing.step import step
+from raygrid.node.tracing import (
+    DONE,
+    FOUND_DIRECTION,
+    FOUND_POINT,
+    FOUND_TIME,
+    make_outputs,
+    observed_step,
+    spawn_primaries,
+    spawn_primary,
+)
 
 NODE_BYTES = 800_000  # of a node in memory, without surfaces (measured)
 Units = tuple[int, int, int]
+Vector = tuple[float, float, float]
+
+
+class Met(NamedTuple):
+    """What a ray or shadow ray met first in a cell.
+
+    item       of the node's tables, -1 for nothing
+    time       the ray parameter there; point: where that is
+    direction  of the ray, also if it met nothing
+    inside     whether all of a refracted ray is reflected (total internal reflection)
+    """
+
+    item: int
+    time: float
+    point: Vector
+    direction: Vector
+    inside: bool
 
 
 class Served(NamedTuple):
@@ -32,10 +58,12 @@ class Served(NamedTuple):
 
     out     (output, packet), in the order of outputs, on one output in the order in which they were made
     counts  int64 (COUNTS,): what it counted
+    met     what the ray met, if it is one and has walked through the cell
     """
 
     out: list[tuple[int, bytes]]
     counts: NDArray[np.int64]
+    met: Met
 
 
 class SingleStep:
@@ -60,7 +88,7 @@ class SingleStep:
         array.driver.wave(frame_order(frame))
         self.space, self.frame = space, frame
         self.nodes: dict[Index, NodeState] = {processor.index: processor.node_state for processor in array.processors}
-        self._outputs = make_outputs(2 * (frame.n_lights + 2), DEPTH)
+        self._outputs = make_outputs(2 * (frame.n_lights + 2), DEPTH, 1)
         self._ports = np.zeros(1, np.uint8)
 
     def serve(self, index: Index, packet: bytes, port: int) -> Served:
@@ -69,15 +97,23 @@ class SingleStep:
         before = node.counts.copy()
         self._ports[0] = port
         rows = np.frombuffer(bytearray(packet), np.uint8)
-        step(
-            node.cell, self.space, node.frame, node.surfaces, node.pixels, rows, self._ports, 0, 1, outputs, node.counts
-        )
+        observed_step(node.step_tables(outputs), rows, self._ports, 0, 1)
         out = []
         for output in np.flatnonzero(outputs.held).tolist():
             data = outputs.data[output, HEAD : HEAD + int(outputs.held[output]) * SIZE].tobytes()
             out += [(output, data[at : at + SIZE]) for at in range(0, len(data), SIZE)]
         outputs.held[:] = 0
-        return Served(out, node.counts - before)
+        return Served(out, node.counts - before, self._met())
+
+    def _met(self) -> Met:
+        found, row = self._outputs.found, self._outputs.found.facts[0].tolist()
+        point, direction = (tuple(row[at : at + 3]) for at in (FOUND_POINT, FOUND_DIRECTION))
+        return Met(int(found.items[0]), row[FOUND_TIME], point, direction, bool(found.inside[0]))
+
+    def brought_home(self) -> Vector:
+        """The intensity of the return packet that the packet served last has brought forth."""
+        red, green, blue = brought_home(self._outputs)
+        return float(red), float(green), float(blue)
 
     def emit(self, index: Index, sample: int) -> bytes | None:
         """The primary ray of a sample, emitted at this node; None if its home is elsewhere."""
@@ -85,9 +121,7 @@ class SingleStep:
         pixel, number = divmod(sample, frame.samples)
         j, i = divmod(pixel, frame.width)
         packet = np.zeros(SIZE, np.uint8)
-        made = spawn_primary(
-            node.cell, self.space, node.frame, node.pixels, i, j, number, packet, self._outputs.seen, node.counts
-        )
+        made = spawn_primary(node.step_tables(self._outputs), i, j, number, packet)
         return packet.tobytes() if made else None
 
     def emit_next(self, index: Index) -> bytes | None:
@@ -96,9 +130,7 @@ class SingleStep:
         if node.cursor[DONE]:
             return None
         packet = np.zeros(SIZE, np.uint8)
-        made = spawn_primaries(
-            node.cell, self.space, node.frame, node.pixels, node.cursor, packet, 0, 1, self._outputs.seen, node.counts
-        )
+        made = spawn_primaries(node.step_tables(self._outputs), node.cursor, packet, 0, 1)
         return packet.tobytes() if made else None
 
     def stored(self, index: Index, pixel: int) -> Units:

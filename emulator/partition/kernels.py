@@ -17,19 +17,18 @@ from raygrid.node.geometry import (
     for_boxes,
     inverse,
     nearest,
-    passage,
     push_boxes,
 )
 from raygrid.node.jit import lean, part
-from raygrid.node.protocol import PRIMARY, SHADOW, SIZE, read_u16, read_u24, read_u32, unit_vector
+from raygrid.node.protocol import PRIMARY, SHADOW, SIZE, read_kind, read_origin, read_u32
 from raygrid.node.tracing import (
-    closest,
+    FOUND_DIRECTION,
+    FOUND_DISTANCE,
+    FOUND_OUT,
+    FOUND_TIME,
     edge_colour,
-    entry,
-    eye_ray,
-    image_point,
-    light_direction,
     place,
+    ray_of_sample,
 )
 
 T_END, IS_PRIMARY, SHADED, RETURNS, FACTS = 3, 4, 5, 6, 7  # columns of PrepassRays.facts
@@ -38,38 +37,33 @@ SWEEPS = 20
 
 
 @lean
-def record_rays(space, cell, frame, surfaces, stack, packets, rays, counts):
-    """Note of each packet (a ray that starts in the one cell) where it begins and ends."""
+def record_rays(tables, packets, rays):
+    """Note of each packet (a ray that starts in the one cell), which an observed step was given, where it begins and ends."""
+    found, frame = tables.outputs.found, tables.frame
     for k in range(len(rays.facts)):
         at = k * SIZE
-        kind = np.int64(packets[at]) & 7
-        origin = (read_u24(packets, at + 5), read_u24(packets, at + 8), read_u24(packets, at + 11))
-        o = place(origin, space.step)
-        d, distance = unit_vector(read_u24(packets, at + 14), read_u24(packets, at + 17)), np.inf
-        if kind == SHADOW:
-            d, distance = light_direction(frame.lights, read_u16(packets, at + 14), o)
-        inv = (inverse(d[0]), inverse(d[1]), inverse(d[2]))
-        _, t_out, _ = passage(cell, o, inv)
-        t, item = min(t_out, distance), np.int64(-1)
-        if len(surfaces.floats) > 0:
-            t, item, _, _ = closest(surfaces, stack, o, d, inv, T_MIN, min(t_out, distance), counts)
-        end = t
-        if item < 0:  # a shadow ray stays in the cell where it reaches its light
-            end = np.nextafter(distance, 0.0) if distance <= t_out else np.inf
-        returns = item < 0
+        kind, origin = read_kind(packets, at), read_origin(packets, at)
+        direction = (
+            found.facts[k, FOUND_DIRECTION],
+            found.facts[k, FOUND_DIRECTION + 1],
+            found.facts[k, FOUND_DIRECTION + 2],
+        )
+        distance, misses = found.facts[k, FOUND_DISTANCE], found.items[k] < 0
+        end = found.facts[k, FOUND_TIME]
+        if misses:  # a shadow ray stays in the cell where it reaches its light
+            end = np.nextafter(distance, 0.0) if distance <= found.facts[k, FOUND_OUT] else np.inf
+        returns = misses
         if kind != SHADOW:
-            red, green, blue = edge_colour(frame, d)
+            red, green, blue = edge_colour(frame, direction)
             returns = returns and (red > 0.0 or green > 0.0 or blue > 0.0)
-        x, y = image_point(read_u32(packets, at + 1), frame.width, frame.samples)
-        from_eye, along = eye_ray(frame.camera, x, y)
-        _, point, _ = entry(space.step, from_eye, along)
+        _, point, _ = ray_of_sample(frame, tables.space.step, read_u32(packets, at + 1))
         for axis in range(3):
             rays.origins[k, axis] = origin[axis]
             rays.homes[k, axis] = point[axis]
-            rays.facts[k, axis] = d[axis]
+            rays.facts[k, axis] = direction[axis]
         rays.facts[k, T_END] = end
         rays.facts[k, IS_PRIMARY] = kind == PRIMARY
-        rays.facts[k, SHADED] = item >= 0 and kind != SHADOW
+        rays.facts[k, SHADED] = not misses and kind != SHADOW
         rays.facts[k, RETURNS] = returns
 
 
@@ -120,7 +114,7 @@ def walk_rays(rays, surfaces, stack, grid, weights, work, places, held):
         if facts[RETURNS] != 0.0:
             _go_home(rays, r, grid, x, y, z, weights, work)
         if weights.box > 0.0 and len(surfaces.floats) > 0:
-            _open_boxes(surfaces, stack, grid, o, d, inv, end, weights, work)
+            _open_boxes(surfaces, stack, grid, (o, d, inv, end), weights.box, work)
     for k in range(places.shape[1]):
         work.done[places[0, k], places[1, k], places[2, k]] += held
     _sum_up(work.done, True, True, True)
@@ -171,8 +165,10 @@ def _go_home(rays, r, grid, x, y, z, weights, work):
 
 
 @part
-def _open_boxes(surfaces, stack, grid, o, d, inv, end, weights, work):
-    """Count each node of the hierarchy that a ray opens where it enters the node's box."""
+def _open_boxes(surfaces, stack, grid, whole, weight, work):
+    """Count each node of the hierarchy that a ray (origin, direction, inverse direction, end) opens where it enters the
+    node's box."""
+    o, d, inv, end = whole
     ray, near = for_boxes(o, inv)
     high = np.float32(min(end, FAREST))
     stack[0] = 0
@@ -188,7 +184,7 @@ def _open_boxes(surfaces, stack, grid, o, d, inv, end, weights, work):
         x = cell_index(grid.planes, 0, grid.shape[0], nearest(o[0] + t * d[0], grid.step[0]))
         y = cell_index(grid.planes, 1, grid.shape[1], nearest(o[1] + t * d[1], grid.step[1]))
         z = cell_index(grid.planes, 2, grid.shape[2], nearest(o[2] + t * d[2], grid.step[2]))
-        work.done[x + 1, y + 1, z + 1] += weights.box
+        work.done[x + 1, y + 1, z + 1] += weight
 
 
 @part
@@ -207,8 +203,9 @@ def _cell(done, crossed, x0, x1, y0, y1, z0, z1):
 
 
 @lean
-def _slab(done, crossed, shape, planes, axis, low, high, unit, order):
+def _slab(done, crossed, shape, planes, axis, between, unit, order):
     """(sum of powers 2^order of cells, in this unit; sum of cells) over the cells between two planes of an axis."""
+    low, high = between
     powers, total = 0.0, 0.0
     for i in range(1 if axis == 0 else shape[0]):
         x0, x1 = (low, high) if axis == 0 else (planes[0, i], planes[0, i + 1])
@@ -231,12 +228,12 @@ def _move(done, crossed, shape, planes, axis, k, unit, order):
     powers, total = 0.0, 0.0
     for i in range(shape[axis]):
         if i != k - 1 and i != k:
-            p, t = _slab(done, crossed, shape, planes, axis, planes[axis, i], planes[axis, i + 1], unit, order)
+            p, t = _slab(done, crossed, shape, planes, axis, (planes[axis, i], planes[axis, i + 1]), unit, order)
             powers, total = powers + p, total + t
     below, above, best, least = planes[axis, k - 1], planes[axis, k + 1], planes[axis, k], np.inf
     for at in range(below + 1, above):
-        p0, t0 = _slab(done, crossed, shape, planes, axis, below, at, unit, order)
-        p1, t1 = _slab(done, crossed, shape, planes, axis, at, above, unit, order)
+        p0, t0 = _slab(done, crossed, shape, planes, axis, (below, at), unit, order)
+        p1, t1 = _slab(done, crossed, shape, planes, axis, (at, above), unit, order)
         root = powers + p0 + p1
         for _ in range(order):
             root = np.sqrt(root)  # exactly rounded, unlike a power: the same planes on every computer
@@ -250,7 +247,7 @@ def _move(done, crossed, shape, planes, axis, k, unit, order):
 @lean
 def search_planes(done, crossed, shape, planes, order):
     """Move all planes in turn until the cost falls no more; returns it."""
-    _, total = _slab(done, crossed, shape, planes, 0, 0, planes[0, shape[0]], 1.0, 0)
+    _, total = _slab(done, crossed, shape, planes, 0, (np.int64(0), planes[0, shape[0]]), 1.0, 0)
     unit, best = max(total, 1e-300) / (shape[0] * shape[1] * shape[2]), np.inf
     for _ in range(SWEEPS):
         cost = best

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from raygrid.emulator.partition.kernels import FACTS, record_rays
 from raygrid.node import geometry, tracing
 from raygrid.node.protocol import COUNTS, HEAD, SIZE, Frame
-from raygrid.node.tracing.step import step
 
 Bytes = NDArray[np.uint8]
 ACROSS = 48  # rays of the pre-pass along a side of the picture
@@ -145,31 +144,33 @@ def _enlarged(batch: geometry.Batch, factor: float) -> geometry.Batch:
 
 def _trace(space: geometry.Space, cell: geometry.Cell, frame: Frame, surfaces: geometry.Surfaces) -> PrepassRays:
     """Every ray of the frame, generation by generation, until none is left or MOST_RAYS are done."""
-    pixels = tracing.make_pixels(frame, space, cell)
-    outputs = tracing.make_outputs(max(ROOM, 2 * (frame.n_lights + 2)), geometry.DEPTH)
+    outputs = tracing.make_outputs(max(ROOM, 2 * (frame.n_lights + 2)), geometry.DEPTH, CHUNK)
     counts, ports = np.zeros(COUNTS, np.int64), np.full(CHUNK, geometry.SELF, np.uint8)
+    tables = tracing.StepTables(cell, space, frame, surfaces, tracing.make_pixels(frame, space, cell), outputs, counts)
     room = frame.width * frame.height
     first = np.zeros(room * SIZE, np.uint8)
-    born = tracing.spawn_primaries(
-        cell, space, frame, pixels, tracing.new_cursor(len(pixels.first) > 0), first, 0, room, outputs.seen, counts
-    )
+    born = tracing.spawn_primaries(tables, tracing.new_cursor(len(tables.pixels.first) > 0), first, 0, room)
     waiting = _pieces(first[: born * SIZE])
     found: list[PrepassRays] = [_no_rays(0)]
     total = 0
     while waiting and total < MOST_RAYS:
         packets = waiting.pop(0)
-        many = len(packets) // SIZE
-        done = step(cell, space, frame, surfaces, pixels, packets, ports, 0, many, outputs, counts)
-        if done < many:  # the outputs are full
+        done, rays = _observe(tables, packets, ports)
+        if done < len(packets) // SIZE:  # the outputs are full
             waiting.insert(0, packets[done * SIZE :].copy())
         shadows, others = (_taken(outputs, output) for output in (geometry.SELF, geometry.SELF_RAYS))
-        for piece in (packets[: done * SIZE], *_pieces(shadows)):
-            rays = _no_rays(len(piece) // SIZE)
-            record_rays(space, cell, frame, surfaces, outputs.stack, piece, rays, counts)
-            found.append(rays)
-            total += len(rays.facts)
+        found += [rays, *(_observe(tables, piece, ports)[1] for piece in _pieces(shadows))]
+        total += done + len(shadows) // SIZE
         waiting += _pieces(others)
     return PrepassRays(*(np.concatenate(column) for column in zip(*found, strict=True)))
+
+
+def _observe(tables: tracing.StepTables, packets: Bytes, ports: Bytes) -> tuple[int, PrepassRays]:
+    """(how many packets there was room for, those rays): hand packets, at most CHUNK, to an observed step."""
+    done = tracing.observed_step(tables, packets, ports, 0, len(packets) // SIZE)
+    rays = _no_rays(done)
+    record_rays(tables, packets, rays)
+    return done, rays
 
 
 def _taken(outputs: tracing.Outputs, output: int) -> Bytes:

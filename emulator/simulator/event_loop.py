@@ -51,7 +51,7 @@ from raygrid.node.timed import (
     spawned,
     take,
 )
-from raygrid.node.tracing import Outputs, Pixels, spawn_sample
+from raygrid.node.tracing import Outputs, Pixels, StepTables, spawn_sample
 
 Long = NDArray[np.int64]
 
@@ -225,6 +225,12 @@ def held_by(surfaces, first, last):
 
 
 @part
+def _tables(sim, cell, surfaces):
+    """What the ray step of a node reads and writes that has this cell and holds these surfaces."""
+    return StepTables(cell, sim.space, sim.frame, surfaces, sim.pixels, sim.outputs, sim.counts)
+
+
+@part
 def _spawn_next(sim, k, tick, cell):
     """The next ray or pixel packet of a node."""
     timed, frame, pixels, scratch, prices = sim.timed, sim.frame, sim.pixels, sim.scratch, sim.prices
@@ -239,7 +245,7 @@ def _spawn_next(sim, k, tick, cell):
         pixel = number // frame.samples
         j = pixel // frame.width
         i, sample = pixel - j * frame.width, number - pixel * frame.samples
-        made = spawn_sample(cell, sim.space, frame, pixels, i, j, pixel, sample, scratch, sim.outputs.seen)
+        made = spawn_sample(_tables(sim, cell, sim.surfaces), (i, j, pixel), sample, scratch)
         sim.watch.total[BORN + PRIMARY] += made
         spawned(timed, k, tick, scratch, 0, prices.counts[BORN + PRIMARY])
 
@@ -275,9 +281,7 @@ def _serve_next(sim, k, tick, cell, surfaces):
     byte = slot * RECORD_BYTES
     kind = np.int64(timed.bytes[byte + PACKET]) & 7
     hops = np.int64(timed.bytes[byte + HOPS_AT]) | np.int64(timed.bytes[byte + HOPS_AT + 1]) << 8
-    done = serve(
-        timed, k, slot, tick, cell, sim.space, sim.frame, surfaces, sim.pixels, sim.outputs, counts, sim.prices
-    )  # fmt: skip
+    done = serve(timed, k, slot, tick, _tables(sim, cell, surfaces), sim.prices)
     give_back(timed, slot)
     for count in range(COUNTS):
         watch.total[count] += counts[count]

@@ -16,7 +16,7 @@ from raygrid.emulator.simulator.kernels import run_flood
 from raygrid.emulator.simulator.shared_tables import Long, described
 from raygrid.emulator.topology.topology import nearest_corners
 from raygrid.node.geometry import HALF, Space, SurfaceSet
-from raygrid.node.protocol import SENT, Prices
+from raygrid.node.protocol import Prices
 
 
 class Flooded(NamedTuple):
@@ -33,9 +33,5 @@ def flood(space: Space, surfaces: SurfaceSet, prices: Prices, description: int) 
     corner_of = nearest_corners(every.boxes.mean(axis=1), space.shape)
     busy = np.zeros(space.shape[0] * space.shape[1] * space.shape[2], np.int64)
     planes = (space.planes - HALF).astype(np.float64) * np.array(space.step)[:, None]
-    hand_on = int(prices.counts[SENT])
-    ticks, visits = run_flood(
-        every, corner_of, planes, space.shape, description, hand_on,
-        prices.transmit, prices.latency, prices.by_processor, busy,
-    )  # fmt: skip
+    ticks, visits = run_flood(every, corner_of, planes, space.shape, description, prices, busy)
     return Flooded(int(ticks), busy, int(visits))

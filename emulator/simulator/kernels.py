@@ -12,17 +12,15 @@ import numpy as np
 
 from raygrid.node.geometry import CHILD_COLUMN, FIRST_MASK, HOST, LEAF_BIT, SLACK, WIDE, surface_meets
 from raygrid.node.jit import kernel, part
-from raygrid.node.protocol import SIZE
-from raygrid.node.tracing import COARSEST, entry, eye_ray, home, image_point
+from raygrid.node.protocol import SENT, SIZE
+from raygrid.node.tracing import COARSEST, home, ray_of_sample
 
 
 @kernel
 def find_homes(frame, space, homes):
     """The node that is home to each sample, -1 if its ray misses the world box: int32 (samples,)."""
     for sample in range(len(homes)):
-        x, y = image_point(sample, frame.width, frame.samples)
-        origin, direction = eye_ray(frame.camera, x, y)
-        enters, point, _ = entry(space.step, origin, direction)
+        enters, point, _ = ray_of_sample(frame, space.step, sample)
         homes[sample] = -1
         if enters:
             cell = home(space, point)
@@ -92,8 +90,9 @@ def relocate_leaves(words, first):
 
 
 @kernel
-def run_flood(every, corner_of, planes, shape, description, hand_on, transmit, latency, by_processor, busy):
+def run_flood(every, corner_of, planes, shape, description, prices, busy):
     """Events are (tick, port, sequence, node, surface), in the order in which nodes see them."""
+    transmit, latency, hand_on = prices.transmit, prices.latency, prices.counts[SENT]
     free = np.zeros(len(busy), np.int64)
     link_free = np.zeros((len(busy), 6), np.int64)
     dealt = np.zeros(8, np.int64)
@@ -134,7 +133,7 @@ def run_flood(every, corner_of, planes, shape, description, hand_on, transmit, l
                 if described_meets(every, surface, low, high, scratch):
                     port = 2 * axis + (1 if up else 0)
                     done += hand_on
-                    if by_processor:
+                    if prices.by_processor:
                         done += on_link
                         sent = done
                     else:

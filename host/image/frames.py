@@ -141,7 +141,7 @@ class FrameNames(NamedTuple):
 
     @classmethod
     def checked(cls, outputs: Sequence[str], stats: str | None, frames: Ends | None, shot: bool) -> FrameNames:
-        """As `split`, of what was asked for. Raises OutputError as `check_patterns` does."""
+        """Split what was asked for, as `split` does. Raises OutputError as `check_patterns` does."""
         check_patterns(outputs, stats, frames, shot)
         return cls.split(outputs, stats, shot)
 

@@ -31,7 +31,7 @@ def entry_facts(entry: Entry, request: SubmitMessage) -> JobFacts:
 
 
 def first_page(jobs: list[JobFacts], most_bytes: int) -> list[JobFacts]:
-    """As many of these as a message of about so many bytes has room for, one at least."""
+    """Take as many of these as a message of about so many bytes has room for, one at least."""
     room = most_bytes
     for count, facts in enumerate(jobs):
         texts = (facts["client"], facts["scene"], facts["error"], *facts["outputs"])

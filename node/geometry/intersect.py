@@ -108,16 +108,21 @@ def cone(data, row, o, d, lower):
     t1 = q / a if a != 0.0 else MISS
     t2 = c / q if q != 0.0 else MISS
     first, second = min(t1, t2), max(t1, t2)
-    if _on_cone(data, row, d, first + shift, lower, md + first * dd, first, mx, my, mz, dd):
+    middle = (mx, my, mz)
+    if _on_cone(data, row, d, lower, middle, dd, (first + shift, first, md + first * dd)):
         return first + shift
-    if _on_cone(data, row, d, second + shift, lower, md + second * dd, second, mx, my, mz, dd):
+    if _on_cone(data, row, d, lower, middle, dd, (second + shift, second, md + second * dd)):
         return second + shift
     return MISS
 
 
 @part
-def _on_cone(data, row, d, t, lower, y, s, mx, my, mz, dd):
-    """Tell whether the point m + s d at height y is a point of the frustum that this ray sees."""
+def _on_cone(data, row, d, lower, middle, dd, hit):
+    """Tell whether the point m + s d at height y is a point of the frustum that this ray sees.
+
+    middle  m, from which s counts; dd  cosine between ray and axis; hit  (t, s, y)
+    """
+    (mx, my, mz), (t, s, y) = middle, hit
     if not (t >= lower and t < 1e6 and y >= 0.0 and y <= data[row, CONE_HEIGHT]):
         return False
     x, z = mx + s * d[0] - y * data[row, CONE_AXIS], mz + s * d[2] - y * data[row, CONE_AXIS + 2]

@@ -23,11 +23,11 @@ class _Listener(event.Listener):  # type: ignore[misc]
         self._begins, self._ends = begins, ends
 
     def on_start(self, event: Any) -> None:
-        """As numba calls it when a function is to be compiled."""
+        """Hear from numba that a function is to be compiled."""
         self._begins(event.data["dispatcher"].py_func)
 
     def on_end(self, event: Any) -> None:
-        """As numba calls it when it is done."""
+        """Hear from numba that it is done."""
         self._ends(event.data["dispatcher"].py_func)
 
 

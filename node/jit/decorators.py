@@ -25,6 +25,7 @@ from typing import Any, cast
 from numba import njit
 
 from raygrid.node.jit import cache
+from raygrid.node.jit.closures import name_closure
 from raygrid.node.jit.fast_load import LazyCache
 
 Function = Callable[..., Any]  # annotations inside kernels would never be checked, so they have none
@@ -34,6 +35,7 @@ _LEAN: dict[str, Any] = {**_COUNTING, "_nrt": False}
 
 
 def _compiled(function: Function, **options: Any) -> Function:
+    name_closure(function)
     dispatcher: Any = njit(**options)(function)
     if hasattr(dispatcher, "_cache"):  # without a compiler (NUMBA_DISABLE_JIT) it has none
         dispatcher._cache = LazyCache(function, cache.DIRECTORY)

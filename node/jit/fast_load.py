@@ -24,6 +24,7 @@ cannot be loaded for whatever reason is as one that is not there: it is compiled
 from __future__ import annotations
 
 import functools
+import hashlib
 import importlib
 import inspect
 import os
@@ -144,7 +145,7 @@ _RELIED_UPON = {
     "_CacheLocator": ("get_suitable_cache_subpath",),
     "IndexDataCacheFile": ("save", "_load_index", "_save_index", "_save_data", "_data_path", "_dump"),
     "CompileResultCacheImpl": ("filename_base", "locator"),
-    "FunctionCache": ("load_overload", "save_overload"),
+    "FunctionCache": ("load_overload", "save_overload", "_index_key"),
     "NullCache": ("load_overload", "save_overload"),
 }
 
@@ -188,7 +189,7 @@ if can_seal():
             return self._path
 
         def ensure_cache_path(self) -> None:
-            """As of numba's locators. Raises OSError where nobody should load anything from."""
+            """Make the directory, as numba's locators do. Raises OSError where nobody should load anything from."""
             make_private(Path(self._path))
             why = _why_not_trusted(self._path)
             if why is not None:
@@ -244,6 +245,10 @@ if can_seal():
             stamp = locator.get_source_stamp()
             self._cache_file = _SealedFiles(locator.get_cache_path(), self._impl.filename_base, stamp)
 
+        def _index_key(self, sig: Any, codegen: Any) -> Any:
+            """Without what the function holds, which stands in its name (`node.jit.closures`)."""
+            return sig, codegen.magic_tuple(), hashlib.sha256(self._py_func.__code__.co_code).hexdigest()
+
 
 if can_seal() and can_load_alone():
 
@@ -293,7 +298,7 @@ if can_seal() and can_load_alone():
 
 
 def _library(generator: Any, name: str, data: tuple[bytes, bytes], names: Names) -> Any:
-    """As `JITCodeLibrary._unserialize` makes it of object code, but the module for linking is parsed if it is asked for."""
+    """Make a library of object code as `JITCodeLibrary._unserialize` does, but parse the module for linking if it is asked for."""
     object_code, bitcode = data
     library = generator.create_library(name)
 
@@ -379,11 +384,11 @@ class LazyCache:
             remark("kept", f"compiled kernels cannot be kept, and each run compiles them anew ({why})")
 
     def enable(self) -> None:
-        """As of numba's caches."""
+        """Do what numba's caches do."""
         self._cache.enable()
 
     def disable(self) -> None:
-        """As of numba's caches."""
+        """Do what numba's caches do."""
         self._cache.disable()
 
     def flush(self) -> None:

@@ -45,14 +45,14 @@ _POINTER = ir.PointerType()
 _BITS = 64  # of what is handed to C functions
 
 
-class _FunctionAt:
+class FunctionAt:
     """What `IRBuilder.call` asks of a function, which a pointer alone cannot tell it."""
 
     def __init__(self, place: Value, function: ir.FunctionType) -> None:
         self.type, self.function_type, self._place = place.type, function, place
 
     def get_reference(self) -> str:
-        """As it is named where it is called."""
+        """Give the name by which it is called."""
         return str(self._place.get_reference())
 
 
@@ -86,7 +86,7 @@ def _called(result: ir.Type) -> Codegen:
         address, packed = arguments
         numbers = cgutils.unpack_tuple(builder, packed)
         function = ir.FunctionType(result, [_LONG] * len(numbers))
-        value = builder.call(_FunctionAt(builder.inttoptr(address, _POINTER), function), numbers)
+        value = builder.call(FunctionAt(builder.inttoptr(address, _POINTER), function), numbers)
         return value if result is _LONG else builder.sext(value, _LONG)
 
     return codegen

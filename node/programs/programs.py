@@ -24,7 +24,6 @@ import fcntl
 import hashlib
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -62,10 +61,10 @@ class Program(NamedTuple):
 
 
 class Compiled(NamedTuple):
-    """A program in the ray step: functions that take the place of `event_loop.run_loop` and `background.add_missed`."""
+    """A program in the ray step: functions that take the place of `step.step` and `background.add_missed`."""
 
     program: Program
-    run_loop: Callable[..., Any]
+    step: Callable[..., Any]
     add_missed: Callable[..., Any]
 
 
@@ -191,7 +190,12 @@ def _directory(program: Program) -> Iterator[Path]:
 
 
 def _linked(program: Program, file: Path) -> Compiled:
-    """The texts of the ray step again, with the program's functions in them. Nothing is compiled yet."""
+    """Run the text of a program, and make a ray step with its functions in it. Nothing is compiled yet."""
+    # a front end knows programs, and traces no ray
+    from raygrid.node.programs.hooks import parts_of
+    from raygrid.node.tracing.background import make_add_missed
+    from raygrid.node.tracing.step import make_step
+
     module = ModuleType(f"raygrid_program_{program.digest[:16]}")
     sys.modules[module.__name__] = module  # numba imports it by this name when it takes a function from the cache
     own = module.__dict__
@@ -200,33 +204,8 @@ def _linked(program: Program, file: Path) -> Compiled:
     for name, value in list(own.items()):
         if callable(value) and getattr(value, "__module__", None) == own["__name__"]:
             own[name] = part(value)
-    into = _again(program, "programs.hooks", {})
-    into.update({hook: own[hook] for hook in program.hooks})
-    traverse = _again(program, "tracing.traverse", {"_meet": into["_meet"]})
-    taken = {name: into[name] for name in ("normals", "_spawn_shadows", "edge_colour")}
-    step = _again(
-        program, "tracing.step", taken | {name: traverse[name] for name in ("closest_below", "blocked_below")}
-    )
-    background = _again(program, "tracing.background", {"edge_colour": into["edge_colour"]})
-    batch = _again(program, "tracing.batch", {"step": step["step"]})
-    event_loop = _again(program, "runtime.event_loop", {"run_batch": batch["run_batch"]})
-    return Compiled(program, event_loop["run_loop"], background["add_missed"])
-
-
-def _again(program: Program, name: str, instead: dict[str, Any]) -> dict[str, Any]:
-    """The namespace of a module of this package, executed anew, with some of its names standing for something else.
-
-    numba looks up names when it compiles, which is at the first call. The module has a name of its own, for compiled
-    functions are linked by their names: those of the step without a program are there as well.
-    """
-    path = Path(str(import_module(f"raygrid.node.{name}").__file__))
-    module = ModuleType(f"raygrid_program_{program.digest[:16]}_{name.replace('.', '_')}")
-    sys.modules[module.__name__] = module
-    space = module.__dict__
-    space["__package__"], space["__file__"] = __package__, str(path)
-    exec(compile(path.read_text(), str(path), "exec"), space)
-    space.update(instead)
-    return space
+    parts = parts_of({hook: own[hook] for hook in program.hooks})
+    return Compiled(program, make_step(parts), make_add_missed(parts.edge_colour))
 
 
 # --- the form of hooks' results ---------------------------------------------------------------------------

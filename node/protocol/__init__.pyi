@@ -48,11 +48,9 @@ from .packets import SIZE as SIZE
 from .packets import PacketKind as PacketKind
 from .packets import add_pixels as add_pixels
 from .packets import put_pixel as put_pixel
-from .packets import read_u16 as read_u16
-from .packets import read_u24 as read_u24
+from .packets import read_kind as read_kind
+from .packets import read_origin as read_origin
 from .packets import read_u32 as read_u32
-from .packets import unpack_weight as unpack_weight
-from .packing import unit_vector as unit_vector
 from .reset import NodeConfig as NodeConfig
 from .timestamps import NEVER_TICK as NEVER_TICK
 from .timestamps import Prices as Prices

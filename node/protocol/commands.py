@@ -63,7 +63,7 @@ class TraceCommand(NamedTuple):
     flush: int = USUAL_FLUSH
 
     def as_map(self) -> dict[str, Any]:
-        """As it travels where it cannot be a reduction (`node.runtime.reduction`)."""
+        """Give the map that travels where it cannot be a reduction (`node.runtime.reduction`)."""
         return {"do": str(CommandName.TRACE)} | self._asdict()
 
 

@@ -297,7 +297,7 @@ def fault(buffer, at, limits):
 
 @part
 def _named_fault(buffer, at, limits):
-    """As `fault`, one thing after the other."""
+    """Find the fault that `fault` names, one thing after the other."""
     kind, depth = np.int64(buffer[at]) & 7, np.int64(buffer[at]) >> 3
     if kind < PRIMARY or kind > PIXEL:
         return 1

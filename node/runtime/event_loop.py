@@ -231,7 +231,9 @@ def _reply(node, idle, quota):
         return False
     for k in range(SUMS):
         reduction.total[k] = reduction.sums[k] + reduction.known[k]
-    add_own_sums_part(reduction.total, node.counts, node.held, node.outputs.held, node.cursor[DONE] == 0, quota)
+    add_own_sums_part(
+        reduction.total, node.step.counts, node.held, node.step.outputs.held, node.cursor[DONE] == 0, quota
+    )
     for port in range(LINKS):
         reduction.total[SUM_DATA_SENT] += native.links[port].data_sent
         reduction.total[SUM_DATA_DONE] += native.links[port].data_done
@@ -288,7 +290,7 @@ def run_loop(node, quota):
     quota  primaries that may be spawned
     Without native links it is one batch.
     """
-    native, timers, tuning, held, outputs = node.native, node.timers, node.tuning[0], node.held, node.outputs
+    native, timers, tuning, held, outputs = node.native, node.timers, node.tuning[0], node.held, node.step.outputs
     served, back_offs, since, serves = 0, BACK_OFFS, count_time(timers, NO_PLACE, np.int64(0)), False
     for port in range(LINKS):
         serves = serves or native.links[port].regular != 0
@@ -319,10 +321,7 @@ def run_loop(node, quota):
                     call_int(native.functions[0].sleep, (np.int64(tuning.back_off),))
                 continue
         back_offs = BACK_OFFS
-        quota, why, done = run_batch(
-            node.cell, node.space, node.frame, node.surfaces, node.pixels, node.cursor, quota, tuning, node.stacks, held,
-            outputs, node.counts,
-        )  # fmt: skip
+        quota, why, done = run_batch(node.step, node.ray_step, node.cursor, quota, tuning, node.stacks, held)
         since = count_time(timers, TRACING, since)
         if not serves or why == BATCH_CROWDED:
             return quota, why

@@ -14,6 +14,7 @@ from raygrid.node.geometry.lattice import Cell, Space, make_cell
 from raygrid.node.geometry.overlap import meets
 from raygrid.node.geometry.spanning_tree import towards_corner
 from raygrid.node.geometry.surfaces import AddedKind, Batch, SurfaceSet, merge
+from raygrid.node.jit.indirect import Address, address_of
 from raygrid.node.programs.programs import Compiled
 from raygrid.node.protocol.commands import USUAL_FLUSH
 from raygrid.node.protocol.counters import COUNTS, DIED, SENT
@@ -30,6 +31,8 @@ from raygrid.node.tracing.framebuffer import Pixels, make_pixels, send_pixels
 from raygrid.node.tracing.local_geometry import build_surfaces, empty_surfaces, refit_surfaces
 from raygrid.node.tracing.output_queues import clear, make_outputs
 from raygrid.node.tracing.primaries import DONE, new_cursor
+from raygrid.node.tracing.step import step
+from raygrid.node.tracing.step_tables import Outputs, StepTables
 from raygrid.node.tracing.work_queues import WorkQueues
 
 CHUNK = 8192  # pixel packets sent at once
@@ -58,6 +61,7 @@ class NodeState:
         self.program: Compiled | None = None
         self.ready: Compiled | None = None  # a program that is to be used next
         self.run_loop = run_loop
+        self._ray_step: tuple[tuple[object, ...], Address] | None = None  # what it was compiled for, and where it is
         self.native, self.timers = no_native_links(), make_timers(False)
         self._tuning = Tuning.rows()
         self.tuning = Tuning.view(self._tuning)
@@ -131,7 +135,6 @@ class NodeState:
     def use_ready(self) -> None:
         """Let the program that is ready take the place of the one before; none: the step without a program."""
         self.program = self.ready
-        self.run_loop = run_loop if self.program is None else self.program.run_loop
 
     def check_known(self, batch: Batch) -> None:
         """Raise ProtocolError for programmed surfaces where no program says what they are."""
@@ -201,12 +204,33 @@ class NodeState:
 
     def tables(self) -> NodeTables:
         """What compiled code works on, in a node with a frame."""
-        assert self.cell is not None and self.space is not None and self.frame is not None and self.pixels is not None
         queues = self.work_queues
+        tables = self.step_tables(self.outputs)
         return NodeTables(
-            self.cell, self.space, self.frame, self.surfaces, self.pixels, self.cursor, self._tuning,
-            queues.bounds, queues.stacks, queues.count, self.outputs, self.counts, self.native, self.timers,
-        )  # fmt: skip
+            tables,
+            self._address(tables),
+            self.cursor,
+            self._tuning,
+            queues.bounds,
+            queues.stacks,
+            queues.count,
+            self.native,
+            self.timers,
+        )
+
+    def step_tables(self, outputs: Outputs) -> StepTables:
+        """What a ray step of this node reads and writes that puts packets on these outputs; there must be a frame."""
+        assert self.cell is not None and self.space is not None and self.frame is not None and self.pixels is not None
+        return StepTables(self.cell, self.space, self.frame, self.surfaces, self.pixels, outputs, self.counts)
+
+    def _address(self, tables: StepTables) -> Address:
+        """Where the ray step is, compiled for the types of these tables. They cannot change while these are the same."""
+        ray_step = step if self.program is None else self.program.step
+        known = (ray_step, *tables[1:])
+        if self._ray_step is None or any(one is not other for one, other in zip(known, self._ray_step[0], strict=True)):
+            stacks = self.work_queues.stacks
+            self._ray_step = known, address_of(ray_step, tables, stacks.rays, stacks.ray_ports, 0, 0)
+        return self._ray_step[1]
 
     def _send_pixels(self) -> None:
         """Fill the output towards the nearest corner with pixel packets."""

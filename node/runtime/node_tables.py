@@ -7,14 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.node.geometry.lattice import Cell, Space
-from raygrid.node.geometry.surface_tables import Surfaces
+from raygrid.node.jit.indirect import Address
 from raygrid.node.jit.records import Record, Rows, record
-from raygrid.node.protocol.frame_tables import Frame
 from raygrid.node.runtime.native_links import NativeLinks
 from raygrid.node.runtime.timers import Timers
-from raygrid.node.tracing.framebuffer import Pixels
-from raygrid.node.tracing.output_queues import Outputs
+from raygrid.node.tracing.step_tables import StepTables
 from raygrid.node.tracing.work_queues import Stacks
 
 
@@ -46,24 +43,20 @@ class Tuning(Record):
 class NodeTables(NamedTuple):
     """All that the event loop of a node reads and writes, but for the primaries that it may spawn.
 
+    step       what the ray step reads and writes; counts there are of the frame
+    ray_step   the address of the ray step
     cursor     the place of the next primary (`node.tracing.primaries`)
     tuning     Tuning (1,)
     bounds     int64 (7,), what packets of the frame may name, as of `WorkQueues`
     stacks     packets that wait, by class; held: int64 (CLASSES + 1,), how many
-    counts     int64 (COUNTS,), of the frame
     """
 
-    cell: Cell
-    space: Space
-    frame: Frame
-    surfaces: Surfaces
-    pixels: Pixels
+    step: StepTables
+    ray_step: Address
     cursor: NDArray[np.int64]
     tuning: Rows
     bounds: NDArray[np.int64]
     stacks: Stacks
     held: NDArray[np.int64]
-    outputs: Outputs
-    counts: NDArray[np.int64]
     native: NativeLinks
     timers: Timers

@@ -143,9 +143,10 @@ def warm(node_state: NodeState) -> None:
 
 def _spawn_aside(node_state: NodeState, scratch: np.ndarray, counts: np.ndarray) -> int:
     """Spawn as many primary rays as there is room for, of which the node knows nothing; returns how many."""
-    assert node_state.pixels is not None
-    pixels = node_state.pixels._replace(samples=node_state.pixels.samples.copy())
-    return int(time_spawning(node_state.tables(), pixels, new_cursor(True), scratch, len(scratch) // SIZE, counts))
+    tables = node_state.step_tables(node_state.outputs)
+    pixels = tables.pixels._replace(samples=tables.pixels.samples.copy())
+    aside = tables._replace(pixels=pixels, counts=counts)
+    return int(time_spawning(node_state.timers, aside, new_cursor(True), scratch, len(scratch) // SIZE))
 
 
 # --- what a processor is marked with -----------------------------------------------------------------------

@@ -17,18 +17,19 @@ from raygrid.node.tracing.traverse import blocked, closest
 
 
 @lean
-def _trace_again(cell, space, frame, surfaces, packets, ports, first, last, until, outputs, counts):
+def _trace_again(tables, packets, ports, first, last, until, counts):
     """Decode packets first..last-1, of one class, and walk and search up to the part `until`; a number that depends on
-    all of it."""
+    all of it. tables  `step_tables.StepTables`"""
+    surfaces, outputs = tables.surfaces, tables.outputs
     used, ahead = 0.0, outputs.setup
     shadow = (np.int64(packets[first * SIZE]) & 7) == SHADOW
     for k in range(first, last, SETUP_RAYS):
         many = min(SETUP_RAYS, last - k)
-        read_prepared(frame, packets, ports, k, k + many, shadow, ahead)
+        read_prepared(tables.frame, packets, ports, k, k + many, shadow, ahead)
         used += ahead.words[0]
         if until == DECODING:
             continue
-        set_up_rays(cell, space, many, shadow, ahead)
+        set_up_rays(tables.cell, tables.space, many, shadow, ahead)
         used += ahead.ways[0]
         if until == WALKING or len(surfaces.floats) == 0:
             continue
@@ -52,9 +53,7 @@ def time_tracing(node, packets, ports, first, last, counts):
     timers, before, used = node.timers, np.int64(0), 0.0
     for until in range(DECODING, SEARCHING + 1):
         since = count_time(timers, NO_PLACE, np.int64(0))
-        used += _trace_again(
-            node.cell, node.space, node.frame, node.surfaces, packets, ports, first, last, until, node.outputs, counts
-        )
+        used += _trace_again(node.step, packets, ports, first, last, until, counts)
         spent = count_time(timers, NO_PLACE, np.int64(0)) - since
         timers.spent[until] += max(spent - before, 0)  # each begins with what the one before did
         before = spent
@@ -62,14 +61,12 @@ def time_tracing(node, packets, ports, first, last, counts):
 
 
 @lean
-def time_spawning(node, pixels, cursor, packets, most, counts):
+def time_spawning(timers, tables, cursor, packets, most):
     """Time the spawning of primary rays, at most so many, into `packets`, uint8 (most * SIZE,); returns how many were.
 
-    pixels, cursor, counts  others than the node's
+    tables  `step_tables.StepTables`; its pixels and counts, and cursor, others than the node's
     """
-    since = count_time(node.timers, NO_PLACE, np.int64(0))
-    made = spawn_primaries(
-        node.cell, node.space, node.frame, pixels, cursor, packets, 0, most, node.outputs.seen, counts
-    )
-    count_time(node.timers, SPAWNING, since)
+    since = count_time(timers, NO_PLACE, np.int64(0))
+    made = spawn_primaries(tables, cursor, packets, 0, most)
+    count_time(timers, SPAWNING, since)
     return made

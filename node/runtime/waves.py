@@ -61,7 +61,7 @@ class WaveReply:
     refusals: list[str] = field(default_factory=list)
 
     def as_map(self, wave: object) -> dict[str, object]:
-        """As it travels. wave: the number of the wave, as it came."""
+        """Pack it for the way. wave: the number of the wave, as it came."""
         sums = self.sums.astype("<i8").tobytes()
         return {"sums": sums, "nodes": self.nodes, "refusals": self.refusals, "wave": wave}
 

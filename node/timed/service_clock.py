@@ -36,6 +36,7 @@ from raygrid.node.protocol.packets import KINDS, PRIMARY, SIZE, copy_packet
 from raygrid.node.protocol.timestamps import NEVER_TICK
 from raygrid.node.tracing.primaries import DONE, spawn_primaries
 from raygrid.node.tracing.step import step_one
+from raygrid.node.tracing.step_tables import counted_in
 
 Long = NDArray[np.int64]
 
@@ -198,10 +199,11 @@ def _note(timed, node, tick, end):
 
 
 @part
-def serve(timed, node, slot, tick, cell, space, frame, surfaces, pixels, outputs, counts, prices):
+def serve(timed, node, slot, tick, tables, prices):
     """Serve the packet of a record from `tick` on; returns the tick at which the first byte can be sent.
 
-    `counts` are those of this service alone. What starts here is put into the node's own queue; what is sent lies on
+    tables  `step_tables.StepTables`; its counts become those of this service alone
+    What starts here is put into the node's own queue; what is sent lies on
     the outputs, to be given its ticks by `arrival`.
     """
     byte, word = slot * RECORD_BYTES, slot * RECORD_WORDS
@@ -210,8 +212,9 @@ def serve(timed, node, slot, tick, cell, space, frame, surfaces, pixels, outputs
     for k in range(3):
         digest = _mix(digest, timed.words[word + PACKET // 8 + k])
     timed.nodes[node]["trace"] = _mix(digest, np.int64(timed.bytes[byte + PACKET + SIZE - 1]) | (port << 8))
+    counts, outputs = tables.counts, tables.outputs
     counts[:] = 0
-    step_one(cell, space, frame, surfaces, pixels, timed.bytes, byte + PACKET, port, outputs, counts)
+    step_one(tables, timed.bytes, byte + PACKET, port)
     ticks = prices.packet + timed.nodes[node]["list_ticks"] * counts[WALKS]
     for k in range(COUNTS):
         ticks += prices.counts[k] * counts[k]
@@ -281,20 +284,19 @@ def insert(timed, port, ticks, packets, at, count):
 
 @lean
 def next_decision(timed, may_spawn):
-    """Do as `decides`, of a node that is alone in its process."""
+    """Tell what `decides` says of a node that is alone in its process."""
     return decides(timed, 0, may_spawn)
 
 
 @lean
-def advance(
-    timed, horizon, cell, space, frame, surfaces, pixels, cursor, scratch, outputs, stamps, counts, total, prices
-):
+def advance(timed, horizon, tables, cursor, scratch, stamps, total, prices):
     """Carry out all decisions before tick `horizon`; CLOCK_IDLE, CLOCK_BLOCKED or CLOCK_FULL.
 
-    scratch  uint8 (25,), a new primary ray; counts, total: int64 (COUNTS,), of a service and of the frame
+    tables   `step_tables.StepTables`, its counts those of a service; total: int64 (COUNTS,), counts of the frame
+    scratch  uint8 (25,), a new primary ray
     CLOCK_FULL: the outputs or the store have no room for what one more service may send.
     """
-    most = frame.n_lights + 3
+    outputs, counts, most = tables.outputs, tables.counts, tables.frame.n_lights + 3
     while True:
         tick = decides(timed, 0, cursor[DONE] == 0)
         if tick >= NEVER_TICK:
@@ -308,14 +310,11 @@ def advance(
             return CLOCK_FULL
         queue_arrivals(timed, 0, tick)
         if timed.nodes[0]["waiting"] == 0:
-            if (
-                cursor[DONE] == 0
-                and spawn_primaries(cell, space, frame, pixels, cursor, scratch, 0, 1, outputs.seen, total) == 1
-            ):
+            if cursor[DONE] == 0 and spawn_primaries(counted_in(tables, total), cursor, scratch, 0, 1) == 1:
                 spawned(timed, 0, tick, scratch, 0, prices.counts[BORN + PRIMARY])
             continue
         slot = take(timed, 0, tick)
-        done = serve(timed, 0, slot, tick, cell, space, frame, surfaces, pixels, outputs, counts, prices)
+        done = serve(timed, 0, slot, tick, tables, prices)
         give_back(timed, slot)
         for k in range(COUNTS):
             total[k] += counts[k]

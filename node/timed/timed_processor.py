@@ -166,13 +166,12 @@ class TimedProcessor(Processor):
 
     def _advance(self) -> None:
         node_state, horizon = self.node_state, self._lookahead.horizon()
-        assert node_state.frame is not None
-        self._make_room(2 * (node_state.frame.n_lights + 4))
+        tables = node_state.step_tables(node_state.outputs)._replace(counts=self._counts)
+        self._make_room(2 * (tables.frame.n_lights + 4))
         first = self._decision()
         self._why = service_clock.advance(
-            self.timed, horizon, node_state.cell, node_state.space, node_state.frame, node_state.surfaces, node_state.pixels,
-            node_state.cursor, self._scratch, node_state.outputs, self._stamps, self._counts, node_state.counts, self._prices,
-        )  # fmt: skip
+            self.timed, horizon, tables, node_state.cursor, self._scratch, self._stamps, node_state.counts, self._prices
+        )
         node_state.samples_left = int(node_state.cursor[DONE]) == 0
         if first < horizon:
             self._lookahead.decided(first)

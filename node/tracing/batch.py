@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from raygrid.node.geometry.grid_walk import SELF, SELF_RAYS
 from raygrid.node.jit.decorators import part
+from raygrid.node.jit.indirect import call_at
 from raygrid.node.jit.intrinsics import copy_bytes
 from raygrid.node.protocol.messages import HEAD
 from raygrid.node.protocol.packets import SIZE
 from raygrid.node.tracing.output_queues import fullest
 from raygrid.node.tracing.primaries import DONE, spawn_primaries
-from raygrid.node.tracing.step import step
 from raygrid.node.tracing.work_queues import CLASSES, IN_TRANSIT, MOST, RAYS, SHADOWS
 
 PORTION = 2048  # packets in a call of the step
@@ -62,17 +62,19 @@ def _take_own(outputs, output, packets, ports, held):
 
 
 @part
-def run_batch(cell, space, frame, surfaces, pixels, cursor, quota, tuning, stacks, held, outputs, counts):
+def run_batch(tables, ray_step, cursor, quota, tuning, stacks, held):
     """Serve what waits until nothing does or one of the reasons above. Returns (quota left, why it ended, packets
     served).
 
-    quota   primaries that may be spawned
-    tuning  a record with batch_packets (after which it ends), admit_below (rays that wait, below which primaries are
-            spawned) and admit_at_once (how many primaries)
-    stacks  `work_queues.Stacks`; held: int64 (CLASSES + 1,), updated
-    The other arguments are those of `step` and `spawn_primaries`.
+    tables    `step_tables.StepTables`
+    ray_step  the `indirect.Address` of a `step` (`node.tracing.step`): it is called by its address, so that this is compiled
+              once, whatever the step is made of
+    cursor    the place of the next primary (`node.tracing.primaries`); quota: primaries that may be spawned
+    tuning    a record with batch_packets (after which it ends), admit_below (rays that wait, below which primaries are
+              spawned) and admit_at_once (how many primaries)
+    stacks    `work_queues.Stacks`; held: int64 (CLASSES + 1,), updated
     """
-    served = 0
+    outputs, frame, served = tables.outputs, tables.frame, 0
     room = (outputs.data.shape[1] - HEAD) // SIZE
     lights = max(frame.n_lights, 2)
     while served < tuning.batch_packets:
@@ -80,9 +82,7 @@ def run_batch(cell, space, frame, surfaces, pixels, cursor, quota, tuning, stack
             many = min(quota, min(tuning.admit_at_once, len(stacks.ray_ports) - held[RAYS]))
             if many == 0:
                 return quota, BATCH_CROWDED, served
-            made = spawn_primaries(
-                cell, space, frame, pixels, cursor, stacks.rays, held[RAYS], many, outputs.seen, counts
-            )
+            made = spawn_primaries(tables, cursor, stacks.rays, held[RAYS], many)
             for k in range(held[RAYS], held[RAYS] + made):
                 stacks.ray_ports[k] = SELF
             held[RAYS] += made
@@ -100,7 +100,7 @@ def run_batch(cell, space, frame, surfaces, pixels, cursor, quota, tuning, stack
             packets, ports = stacks.in_transit, stacks.transit_ports
         elif kind == SHADOWS:
             packets, ports = stacks.shadows, stacks.shadow_ports
-        done = step(cell, space, frame, surfaces, pixels, packets, ports, first, held[kind], outputs, counts)
+        done = call_at(ray_step, (tables, packets, ports, first, held[kind]))
         held[kind] = _sink(packets, ports, first, done, held[kind])
         held[SHADOWS] = _take_own(outputs, SELF, stacks.shadows, stacks.shadow_ports, held[SHADOWS])
         held[RAYS] = _take_own(outputs, SELF_RAYS, stacks.rays, stacks.ray_ports, held[RAYS])

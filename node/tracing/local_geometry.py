@@ -138,15 +138,20 @@ def _polygons(points, starts, most_bins, planes, headers, bins, edges):
         for strip in range(count):
             bins[next_bin] = next_edge
             next_bin += 1
-            next_edge = _edges_of_strip(points, first, last, u, v, low, scale, strip, count, edges, next_edge)
+            next_edge = _edges_of_strip(points, (first, last), (u, v), (low, scale), strip, edges, next_edge)
         bins[next_bin] = next_edge
         next_bin += 1
     return next_bin, next_edge
 
 
 @kernel
-def _edges_of_strip(points, first, last, u, v, low, scale, strip, count, edges, next_edge):
-    """Append the edges whose height range touches a strip; each runs from its lower end to its upper one."""
+def _edges_of_strip(points, span, axes, strips, strip, edges, next_edge):
+    """Append the edges whose height range touches a strip; each runs from its lower end to its upper one.
+
+    span  (first, last) point of the polygon; axes  along which strips lie, and in which they follow each other
+    strips  (where the first begins, strips a unit)
+    """
+    (first, last), (u, v), (low, scale) = span, axes, strips
     for k in range(first, last):
         after = k + 1 if k + 1 < last else first
         a, b = (k, after) if points[k, v] < points[after, v] else (after, k)

@@ -9,10 +9,7 @@ Spawned rays and returns are noted first and written many at once (`node.tracing
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
-from numpy.typing import NDArray
 
 from raygrid.node.geometry.grid_walk import HOST, NO_PORT, OUTPUTS, SELF, SELF_RAYS, towards_start
 from raygrid.node.jit.decorators import part
@@ -22,7 +19,6 @@ from raygrid.node.protocol.packets import RETURN, SIZE, copy_packet, put_return
 from raygrid.node.tracing.camera import home
 from raygrid.node.tracing.framebuffer import fixed_point, slot
 from raygrid.node.tracing.primary_rays import (
-    PrimaryBatch,
     entered_at,
     make_primary_batch,
     note_return,
@@ -30,35 +26,21 @@ from raygrid.node.tracing.primary_rays import (
     pixel_of,
     work_out_returns,
 )
-from raygrid.node.tracing.ray_setup import SETUP_RAYS, RaySetup, make_ray_setup
+from raygrid.node.tracing.ray_setup import SETUP_RAYS, make_ray_setup
 from raygrid.node.tracing.spawn import (
     RAY_BATCH,
     SHADOW_BATCH,
-    SpawnBatch,
     make_spawn_batch,
     note,
     put,
     starts_behind,
     work_out,
 )
+from raygrid.node.tracing.step_tables import FOUND_FACTS, Found, Outputs
 
 
-class Outputs(NamedTuple):
-    """Output queues and scratch of a step: bytes uint8 (OUTPUTS, HEAD + room * SIZE), packets held int64 (OUTPUTS,).
-
-    stack  int64, keys of the hierarchy; setup  rays that are set up; spawns, seen  rays to be spawned, and samples, noted
-    """
-
-    data: NDArray[np.uint8]
-    held: NDArray[np.int64]
-    stack: NDArray[np.int64]
-    setup: RaySetup
-    spawns: SpawnBatch
-    seen: PrimaryBatch
-
-
-def make_outputs(room: int, stack: int) -> Outputs:
-    """Empty outputs with room for this many packets each."""
+def make_outputs(room: int, stack: int, observed: int = 0) -> Outputs:
+    """Empty outputs with room for this many packets each; `observed`: most packets that an observed step is given."""
     return Outputs(
         np.empty((OUTPUTS, HEAD + room * SIZE), np.uint8),  # zeros may write all of it
         np.zeros(OUTPUTS, np.int64),
@@ -66,6 +48,7 @@ def make_outputs(room: int, stack: int) -> Outputs:
         make_ray_setup(),
         make_spawn_batch(),
         make_primary_batch(),
+        Found(np.zeros((observed, FOUND_FACTS)), np.full(observed, -1, np.int64), np.zeros(observed, np.uint8)),
     )
 
 
@@ -109,31 +92,31 @@ def hand_on_all(packets, first, numbers, begin, many, ways, outputs, counts):
 
 
 @part
-def give_back(cell, space, frame, pixels, sample, depth, red, green, blue, outputs, counts):
+def give_back(tables, sample, depth, colour):
     """Spawn a return packet, unless it would bring nothing; all are written if there is room to note no more."""
-    intensity = (np.float32(red), np.float32(green), np.float32(blue))
+    intensity = (np.float32(colour[0]), np.float32(colour[1]), np.float32(colour[2]))
     if not (intensity[0] > 0.0 or intensity[1] > 0.0 or intensity[2] > 0.0):
         return
-    counts[BORN + RETURN] += 1
-    counts[HOMES] += 1
-    if note_return(outputs.seen, frame, sample, depth, intensity):
-        _write_returns(cell, space, frame, pixels, outputs, counts)
+    tables.counts[BORN + RETURN] += 1
+    tables.counts[HOMES] += 1
+    if note_return(tables.outputs.seen, tables.frame, sample, depth, intensity):
+        _write_returns(tables)
 
 
 @part
-def _write_returns(cell, space, frame, pixels, outputs, counts):
+def _write_returns(tables):
     """Send home all return packets that are noted; those whose home is here die at once, in the pixel store."""
-    seen = outputs.seen
-    work_out_returns(space, frame, seen)
+    seen = tables.outputs.seen
+    work_out_returns(tables.space, tables.frame, seen)
     for j in range(seen.held[0]):
         sample, depth, intensity = noted_return(seen, j)
         point = entered_at(seen, j)
-        port = towards_start(cell, point)  # that to the sample's home, which holds this point
+        port = towards_start(tables.cell, point)  # that to the sample's home, which holds this point
         if port == NO_PORT:
-            keep(pixels, pixel_of(seen, j), intensity, counts)
+            keep(tables.pixels, pixel_of(seen, j), intensity, tables.counts)
         else:
-            row, at = _claim(outputs, port, counts)
-            put_return(row, at, depth, sample, intensity, home(space, point))
+            row, at = _claim(tables.outputs, port, tables.counts)
+            put_return(row, at, depth, sample, intensity, home(tables.space, point))
     seen.held[0] = 0
 
 
@@ -150,19 +133,21 @@ def keep(pixels, pixel, intensity, counts):
 
 
 @part
-def emit(cell, space, spawn_batch, kind, sample, depth, light, p, g, d, weight, outputs, counts):
-    """Note a ray to be spawned, and write all that are noted if there is room for no more."""
-    counts[BORN + kind] += 1
-    head = kind | (depth << 3) | (sample << 8)
-    if note(outputs.spawns, spawn_batch, head, light, p, g, d, weight):
-        _write_spawned(cell, space, spawn_batch, outputs, counts)
+def emit(tables, spawn_batch, head, light, p, g, d, weight):
+    """Note a ray to be spawned, and write all that are noted if there is room for no more.
+
+    head  what its packet begins with: kind, depth << 3, sample << 8
+    """
+    tables.counts[BORN + (head & 7)] += 1
+    if note(tables.outputs.spawns, spawn_batch, head, light, p, g, d, weight):
+        _write_spawned(tables, spawn_batch)
 
 
 @part
-def _write_spawned(cell, space, spawn_batch, outputs, counts):
+def _write_spawned(tables, spawn_batch):
     """Put all rays of a spawn batch on the outputs."""
-    spawns = outputs.spawns
-    work_out(cell, space, spawns, spawn_batch)
+    outputs, spawns = tables.outputs, tables.outputs.spawns
+    work_out(tables.cell, tables.space, spawns, spawn_batch)
     for j in range(spawns.held[spawn_batch]):
         ports = starts_behind(spawns, spawn_batch, j)
         output = SELF if spawn_batch == SHADOW_BATCH else SELF_RAYS
@@ -170,17 +155,17 @@ def _write_spawned(cell, space, spawn_batch, outputs, counts):
             output = 0
             while (ports >> output) & 1 == 0:
                 output += 1
-        row, at = _claim(outputs, output, counts)
+        row, at = _claim(outputs, output, tables.counts)
         put(spawns, spawn_batch, j, row, at)
     spawns.held[spawn_batch] = 0
 
 
 @part
-def write_all_noted(cell, space, frame, pixels, outputs, counts):
+def write_all_noted(tables):
     """Put all that is noted on the outputs."""
-    _write_spawned(cell, space, SHADOW_BATCH, outputs, counts)
-    _write_spawned(cell, space, RAY_BATCH, outputs, counts)
-    _write_returns(cell, space, frame, pixels, outputs, counts)
+    _write_spawned(tables, SHADOW_BATCH)
+    _write_spawned(tables, RAY_BATCH)
+    _write_returns(tables)
 
 
 @part

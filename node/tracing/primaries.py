@@ -12,7 +12,7 @@ import numpy as np
 from raygrid.node.jit.decorators import lean, part
 from raygrid.node.protocol.counters import BORN
 from raygrid.node.protocol.packets import PRIMARY, SIZE
-from raygrid.node.tracing.camera import image_point
+from raygrid.node.tracing.camera import entry, eye_ray, image_point
 from raygrid.node.tracing.framebuffer import slot
 from raygrid.node.tracing.primary_rays import (
     PRIMARY_PLACE,
@@ -37,18 +37,28 @@ def new_cursor(has_pixels: bool) -> np.ndarray:
     return cursor
 
 
+@part
+def ray_of_sample(frame, step, sample):
+    """(whether the eye's ray of a sample enters the world box, lattice point where it does, its direction)."""
+    x, y = image_point(sample, frame.width, frame.samples)
+    origin, direction = eye_ray(frame.camera, x, y)
+    enters, point, _ = entry(step, origin, direction)
+    return enters, point, direction
+
+
 @lean
-def spawn_primaries(cell, space, frame, pixels, cursor, packets, first, room, seen, counts):
+def spawn_primaries(tables, cursor, packets, first, room):
     """Write up to `room` primary rays to `packets` (uint8) from packet number `first`; returns how many.
 
-    `cursor` keeps the place between calls; cursor[DONE] is 1 when no sample is left.
-    `seen`: scratch (`node.tracing.primary_rays`).
+    tables  `step_tables.StepTables`
+    cursor  keeps the place between calls; cursor[DONE] is 1 when no sample is left
     """
     made = 0
     while made < room and cursor[DONE] == 0:
-        _note_samples(frame, pixels, cursor, min(PRIMARY_ROOM, room - made), seen)
-        made += _spawn_noted(cell, space, frame, pixels, packets, first + made, seen)
-    counts[BORN + PRIMARY] += made
+        many = min(PRIMARY_ROOM, room - made)
+        _note_samples(tables.frame, tables.pixels, cursor, many, tables.outputs.seen)
+        made += _spawn_noted(tables, packets, first + made)
+    tables.counts[BORN + PRIMARY] += made
     return made
 
 
@@ -89,9 +99,10 @@ def _note(frame, i, j, place, number, seen):
 
 
 @part
-def _spawn_noted(cell, space, frame, pixels, packets, first, seen):
+def _spawn_noted(tables, packets, first):
     """Write the primary rays of those samples that were noted whose home is here; returns how many."""
-    work_out_primaries(cell, space, frame, seen)
+    seen, pixels = tables.outputs.seen, tables.pixels
+    work_out_primaries(tables.cell, tables.space, tables.frame, seen)
     made = 0
     for j in range(seen.held[0]):
         if is_at_home(seen, j):
@@ -114,15 +125,15 @@ def _next_level(frame, cursor):
 
 
 @part
-def spawn_sample(cell, space, frame, pixels, i, j, place, number, packet, seen):
-    """Do as `spawn_primary`, of a pixel at this place in the store, and uncounted."""
-    _note(frame, i, j, place, number, seen)
-    return _spawn_noted(cell, space, frame, pixels, packet, 0, seen)
+def spawn_sample(tables, pixel, number, packet):
+    """Do as `spawn_primary`, of a pixel (column, row, its place in the store), and uncounted."""
+    _note(tables.frame, pixel[0], pixel[1], pixel[2], number, tables.outputs.seen)
+    return _spawn_noted(tables, packet, 0)
 
 
 @lean
-def spawn_primary(cell, space, frame, pixels, i, j, number, packet, seen, counts):
+def spawn_primary(tables, i, j, number, packet):
     """Write the primary ray of one sample of pixel (i, j) to `packet` if its home is here; returns 1 or 0."""
-    made = spawn_sample(cell, space, frame, pixels, i, j, slot(pixels, i, j), number, packet, seen)
-    counts[BORN + PRIMARY] += made
+    made = spawn_sample(tables, (i, j, slot(tables.pixels, i, j)), number, packet)
+    tables.counts[BORN + PRIMARY] += made
     return made

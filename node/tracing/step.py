@@ -2,36 +2,30 @@
 
 Packets go in as 25-byte rows with the port by which each came; what comes out is written to one row of
 bytes an output (six ports, host, and what starts in this node), intensities that are at home here to the
-pixel store, and costs to an array of counts. The node process, the in-memory array, the timed emulator
-and the simulator all call `step`.
+pixel store, and costs to an array of counts. The node process and the in-memory array call `step`, with many packets;
+the timed processes and the simulator, which have to know what each costs, call `step_one`. The two set up rays in different
+ways, and whatever is done with a ray that is set up is the same function.
+
+A step is made of its parts (`make_step`): what a program brings takes the place of some of them, and a step that is
+observed, for explanations and for the sampling pre-pass, notes what each ray met.
 """
 
 from __future__ import annotations
 
+from functools import cache
+from typing import NamedTuple
+
 import numpy as np
 
 from raygrid.node.geometry.bvh_boxes import for_boxes
-from raygrid.node.geometry.grid_walk import (
-    HOST,
-    NO_PORT,
-    inverse,
-    is_before_start,
-    leaves_array,
-    passage,
-    towards_cell,
-    towards_start,
-)
+from raygrid.node.geometry.grid_walk import HOST, NO_PORT, leaves_array, towards_cell, towards_start
 from raygrid.node.geometry.lattice import T_MIN
-from raygrid.node.geometry.power import power
 from raygrid.node.geometry.spanning_tree import towards_corner_part
-from raygrid.node.jit.decorators import lean, part
-from raygrid.node.protocol.counters import BOXES, DIED, HITS, WALKS
-from raygrid.node.protocol.frame_tables import DIFFUSE, HIGHLIGHT, IOR, SHINE, SPECULAR, TRANSMISSION
+from raygrid.node.jit.decorators import Function, part
+from raygrid.node.protocol.counters import BOXES, DIED, WALKS
 from raygrid.node.protocol.messages import HEAD
 from raygrid.node.protocol.packets import (
     PIXEL,
-    REFLECTED,
-    REFRACTED,
     RETURN,
     SHADOW,
     SIZE,
@@ -45,18 +39,15 @@ from raygrid.node.protocol.packets import (
     read_weight,
     unpack_shadow_weight,
 )
-from raygrid.node.protocol.packing import unit_vector
-from raygrid.node.tracing.output_queues import (
-    emit,
-    fullest,
-    give_back,
-    hand_on,
-    hand_on_all,
-    keep,
-    noted,
-    write_all_noted,
+from raygrid.node.tracing.output_queues import fullest, give_back, hand_on, hand_on_all, keep, noted, write_all_noted
+from raygrid.node.tracing.ray_classify import (
+    ENDING,
+    PASSING,
+    box_of_all,
+    classify,
+    ends_of_array,
+    unfinished,
 )
-from raygrid.node.tracing.ray_classify import ENDING, PASSING, box_of_all, classify, ends_of_array, unfinished
 from raygrid.node.tracing.ray_setup import (
     NOT_AT_START,
     SETUP_RAYS,
@@ -67,155 +58,62 @@ from raygrid.node.tracing.ray_setup import (
     set_up_rays,
     take_root,
 )
-from raygrid.node.tracing.shading import edge_colour, light_direction, light_intensity, normals, place, refract
-from raygrid.node.tracing.spawn import RAY_BATCH, SHADOW_BATCH
-from raygrid.node.tracing.traverse import blocked_below, closest_below, open_root
+from raygrid.node.tracing.secondary_rays import in_full, make_shade
+from raygrid.node.tracing.shading import edge_colour, normals
+from raygrid.node.tracing.single_ray import open_root_for, set_up_ray
+from raygrid.node.tracing.step_tables import note_hit, note_ray
+from raygrid.node.tracing.traverse import Search, make_blocked, make_closest, meet
 
 # what is done with a packet, by its kind
 WALKS_ON, SHADOWS_ON, SETTLES = 0, 1, 2
 
 
-@part
-def _spawn_ray(cell, space, frame, kind, depth, sample, p, g, d, weight, outputs, counts):
-    """Spawn a reflected or refracted ray, unless it is too faint."""
-    if max(weight[0], weight[1], weight[2]) > frame.min_weight:
-        emit(cell, space, RAY_BATCH, kind, sample, depth, 0, p, g, d, weight, outputs, counts)
+class Parts(NamedTuple):
+    """What a ray step is made of; each a `part`.
+
+    meet         (t, u, v) of one surface: meet(surfaces, kind, row, origin, direction, lower, upper)
+    normals      (outward, shading): normals(surfaces, item, point, u, v)
+    lit          the weight with which light counts: lit(frame, material, point, normal, weight)
+    edge_colour  what a ray sees that leaves the scene: edge_colour(frame, direction)
+    observed     whether what each ray meets is noted in `Outputs.found`, of a shadow ray the nearest surface. So other
+                 boxes and tests are counted of shadow rays; nothing else differs
+    """
+
+    meet: Function = meet
+    normals: Function = normals
+    lit: Function = in_full
+    edge_colour: Function = edge_colour
+    observed: bool = False
+
+
+# --- what ends or goes on ------------------------------------------------------------------------------
 
 
 @part
-def _spawn_shadows(cell, space, frame, material, depth, sample, p, g, n, mirror, weight, outputs, counts):
-    """Spawn a shadow ray to each light that faces the surface; it carries what it will add."""
-    m = frame.materials
-    for light in range(frame.n_lights):
-        to_light, distance = light_direction(frame.lights, light, p)
-        cosine = n[0] * to_light[0] + n[1] * to_light[1] + n[2] * to_light[2]
-        if not cosine > 0.0:
-            continue
-        intensity = light_intensity(frame.lights, light, to_light, distance)
-        shine = 0.0
-        if m[material, HIGHLIGHT] > 0.0 or m[material, HIGHLIGHT + 1] > 0.0 or m[material, HIGHLIGHT + 2] > 0.0:
-            along = mirror[0] * to_light[0] + mirror[1] * to_light[1] + mirror[2] * to_light[2]
-            shine = power(max(along, 0.0), m[material, SHINE])
-        adds = (
-            weight[0] * intensity[0] * (m[material, DIFFUSE] * cosine + m[material, HIGHLIGHT] * shine),
-            weight[1] * intensity[1] * (m[material, DIFFUSE + 1] * cosine + m[material, HIGHLIGHT + 1] * shine),
-            weight[2] * intensity[2] * (m[material, DIFFUSE + 2] * cosine + m[material, HIGHLIGHT + 2] * shine),
-        )
-        emit(cell, space, SHADOW_BATCH, SHADOW, sample, depth, light, p, g, to_light, adds, outputs, counts)
+def _hand_to_start(tables, packets, at):
+    """Hand a ray on towards the cell of its origin."""
+    port = towards_start(tables.cell, read_origin(packets, at))
+    hand_on(packets, at, port, tables.outputs, tables.counts)
 
 
 @part
-def _shade(cell, space, frame, surfaces, packets, at, kind, o, d, t, item, u, v, outputs, counts):
-    """Shade a hit, at which the incoming ray dies; the rays that it spawns are put on the outputs."""
+def _bring_home(tables, packets, at, kind, colour):
+    """Let a ray die that leaves the scene, and send home what it sees there."""
     sample, depth = read_u32(packets, at + 1), read_depth(packets, at)
     weight = read_weight(packets, at)
-    p = (o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2])
-    g, n = normals(surfaces, item, p, u, v)
-    material = np.int64(surfaces.materials[item])
-    counts[DIED + kind] += 1
-    counts[HITS] += 1
-    cosine = -(d[0] * n[0] + d[1] * n[1] + d[2] * n[2])
-    if cosine < 0.0:
-        n, cosine = (-n[0], -n[1], -n[2]), -cosine
-    mirror = (d[0] + 2.0 * cosine * n[0], d[1] + 2.0 * cosine * n[1], d[2] + 2.0 * cosine * n[2])
-    _spawn_shadows(cell, space, frame, material, depth, sample, p, g, n, mirror, weight, outputs, counts)
-    if depth >= frame.depth:
-        return
-    m = frame.materials
-    ks = (m[material, SPECULAR], m[material, SPECULAR + 1], m[material, SPECULAR + 2])
-    if ks[0] > 0.0 or ks[1] > 0.0 or ks[2] > 0.0:
-        reflected = (weight[0] * ks[0], weight[1] * ks[1], weight[2] * ks[2])
-        _spawn_ray(cell, space, frame, REFLECTED, depth + 1, sample, p, g, mirror, reflected, outputs, counts)
-    kt = (m[material, TRANSMISSION], m[material, TRANSMISSION + 1], m[material, TRANSMISSION + 2])
-    if kt[0] > 0.0 or kt[1] > 0.0 or kt[2] > 0.0:
-        entering = d[0] * g[0] + d[1] * g[1] + d[2] * g[2] < 0.0
-        ratio = 1.0 / m[material, IOR] if entering else m[material, IOR]
-        passes, direction = refract(d, n, cosine, ratio)
-        if passes:
-            weight = (weight[0] * kt[0], weight[1] * kt[1], weight[2] * kt[2])
-        else:  # total internal reflection: a reflected ray in its place, with the whole weight
-            direction = mirror
-        spawned = REFRACTED if passes else REFLECTED
-        _spawn_ray(cell, space, frame, spawned, depth + 1, sample, p, g, direction, weight, outputs, counts)
+    tables.counts[DIED + kind] += 1
+    give_back(tables, sample, depth, (weight[0] * colour[0], weight[1] * colour[1], weight[2] * colour[2]))
 
 
 @part
-def _at_edge(cell, space, frame, pixels, packets, at, kind, d, outputs, counts):
-    """A ray that leaves the scene brings home the background, or the light that it is directed towards."""
+def _reach_light(tables, packets, at):
+    """Let a shadow ray die that reaches its light, and send home what it carries."""
+    tables.counts[DIED + SHADOW] += 1
+    red = unpack_shadow_weight(read_u24(packets, at + 16))
+    green = unpack_shadow_weight(read_u24(packets, at + 19))
+    blue = unpack_shadow_weight(read_u24(packets, at + 22))
     sample, depth = read_u32(packets, at + 1), read_depth(packets, at)
-    weight = read_weight(packets, at)
-    red, green, blue = edge_colour(frame, d)
-    counts[DIED + kind] += 1
-    give_back(
-        cell, space, frame, pixels, sample, depth, weight[0] * red, weight[1] * green, weight[2] * blue, outputs, counts
-    )
-
-
-@part
-def _set_up(cell, space, frame, packets, at, port, kind):
-    """Set up a ray or shadow ray before any surface is looked at: (way, o, d, inv, t_in, t_out, distance).
-
-    way  the exit port; NOT_AT_START for one that has to go to the cell of its origin first
-    """
-    origin = read_origin(packets, at)
-    o = place(origin, space.step)
-    if kind == SHADOW:
-        d, distance = light_direction(frame.lights, read_u16(packets, at + 14), o)
-    else:
-        d, distance = unit_vector(read_u24(packets, at + 14), read_u24(packets, at + 17)), np.inf
-    inv = (inverse(d[0]), inverse(d[1]), inverse(d[2]))
-    t_in, t_out, way = passage(cell, o, inv)
-    if is_before_start(cell, origin, port):
-        way = NOT_AT_START
-    return way, o, d, inv, t_in, t_out, distance
-
-
-@part
-def _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, boxes, met, outputs, counts):
-    """Step a primary, reflected or refracted ray.
-
-    ray  what `_set_up` gives; boxes  what `for_boxes` does; met  keys of the root on the stack
-    """
-    way, o, d, _, t_in, t_out, _ = ray
-    if way == NOT_AT_START:
-        hand_on(packets, at, towards_start(cell, read_origin(packets, at)), outputs, counts)
-        return
-    counts[WALKS] += 1
-    if met == 0:
-        counts[BOXES] += len(surfaces.floats) > 0
-    else:
-        t, item, u, v = closest_below(surfaces, outputs.stack, met, o, d, boxes, max(t_in, T_MIN), t_out, counts)
-        if item >= 0:
-            _shade(cell, space, frame, surfaces, packets, at, kind, o, d, t, item, u, v, outputs, counts)
-            return
-    if leaves_array(cell.index, space.shape, way):
-        _at_edge(cell, space, frame, pixels, packets, at, kind, d, outputs, counts)
-    else:
-        hand_on(packets, at, way, outputs, counts)
-
-
-@part
-def _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, boxes, met, outputs, counts):
-    """Step a shadow ray: forgotten at the first surface, a return packet where it reaches its light."""
-    way, o, d, _, t_in, t_out, distance = ray
-    if way == NOT_AT_START:
-        hand_on(packets, at, towards_start(cell, read_origin(packets, at)), outputs, counts)
-        return
-    counts[WALKS] += 1
-    upper = min(t_out, distance)
-    if met == 0:
-        counts[BOXES] += len(surfaces.floats) > 0
-    if met > 0 and blocked_below(surfaces, outputs.stack, met, o, d, boxes, max(t_in, T_MIN), upper, counts):
-        counts[DIED + SHADOW] += 1
-    elif distance <= t_out or leaves_array(cell.index, space.shape, way):
-        counts[DIED + SHADOW] += 1
-        red = unpack_shadow_weight(read_u24(packets, at + 16))
-        green = unpack_shadow_weight(read_u24(packets, at + 19))
-        blue = unpack_shadow_weight(read_u24(packets, at + 22))
-        sample, depth = read_u32(packets, at + 1), read_depth(packets, at)
-        give_back(cell, space, frame, pixels, sample, depth, red, green, blue, outputs, counts)
-    else:
-        hand_on(packets, at, way, outputs, counts)
+    give_back(tables, sample, depth, (red, green, blue))
 
 
 @part
@@ -235,39 +133,18 @@ def _keep(frame, pixels, packets, at, counts):
 
 
 @part
-def _settle(cell, space, frame, pixels, packets, at, kind, outputs, counts):
-    """Step a return packet, kept at its home, else handed on towards it; or a pixel packet."""
+def _settle(tables, packets, at, kind):
+    """Step one return packet, kept at its home, else handed on towards it; or a pixel, on its way to the host."""
+    cell, counts = tables.cell, tables.counts
     if kind == RETURN:
-        port = _way_home(cell, packets, at)
-        if port == NO_PORT:
-            _keep(frame, pixels, packets, at, counts)
-        else:
-            hand_on(packets, at, port, outputs, counts)
+        output = _way_home(cell, packets, at)
     else:
-        output = towards_corner_part(cell.index, space.shape)
-        if output == HOST:
-            counts[DIED + PIXEL] += 1
-        hand_on(packets, at, output, outputs, counts)
-
-
-@part
-def step_one(cell, space, frame, surfaces, pixels, packets, at, port, outputs, counts):
-    """Take the ray step of one packet."""
-    kind = read_kind(packets, at)
-    if kind == RETURN or kind == PIXEL:
-        _settle(cell, space, frame, pixels, packets, at, kind, outputs, counts)
-        return
-    ray = _set_up(cell, space, frame, packets, at, port, kind)
-    _, o, _, inv, t_in, t_out, distance = ray
-    met, upper = 0, min(t_out, distance)
-    if len(surfaces.floats) > 0:
-        met = open_root(surfaces, outputs.stack, 0, o, inv, max(t_in, T_MIN), upper)
-    boxes = for_boxes(o, inv)
-    if kind == SHADOW:
-        _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, boxes, met, outputs, counts)
+        output = towards_corner_part(cell.index, tables.space.shape)
+        counts[DIED + PIXEL] += output == HOST
+    if output == NO_PORT:
+        _keep(tables.frame, tables.pixels, packets, at, counts)
     else:
-        _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, boxes, met, outputs, counts)
-    write_all_noted(cell, space, frame, pixels, outputs, counts)
+        hand_on(packets, at, output, tables.outputs, counts)
 
 
 @part
@@ -291,11 +168,14 @@ def _alike(packets, first, last):
 
 
 @part
-def _settle_each(cell, space, frame, pixels, packets, first, last, outputs, counts):
-    """Step packets first..last-1, all of them returns or pixels: as `_settle`, those that go on before those that are at
-    home, without a branch for each."""
+def _settle_each(tables, packets, first, last):
+    """Step packets first..last-1, all of them returns or pixels, as `_settle` does each.
+
+    Those that go on before those that are at home, without a branch for each.
+    """
+    cell, outputs, counts = tables.cell, tables.outputs, tables.counts
     ways, lists = outputs.setup.ways, outputs.setup.lists
-    output, passing, ending = towards_corner_part(cell.index, space.shape), 0, 0
+    output, passing, ending = towards_corner_part(cell.index, tables.space.shape), 0, 0
     for j in range(last - first):
         at = (first + j) * SIZE
         is_return = read_kind(packets, at) == RETURN
@@ -306,55 +186,203 @@ def _settle_each(cell, space, frame, pixels, packets, first, last, outputs, coun
         ending += ways[j] == NO_PORT
     hand_on_all(packets, first, lists, PASSING * SETUP_ROOM, passing, ways, outputs, counts)
     for k in range(ending):
-        _keep(frame, pixels, packets, (first + (lists[ENDING * SETUP_ROOM + k] & (SETUP_RAYS - 1))) * SIZE, counts)
+        at = (first + (lists[ENDING * SETUP_ROOM + k] & (SETUP_RAYS - 1))) * SIZE
+        _keep(tables.frame, tables.pixels, packets, at, counts)
+
+
+# --- a ray that is set up ------------------------------------------------------------------------------
 
 
 @part
-def _step_each(cell, space, frame, surfaces, pixels, packets, first, many, shadows, marks, outputs, counts):
-    """Take the ray step of `many` packets from the first on, all of shadow rays or none, that are set up already.
+def _note_rays(outputs, first, many, shadows):
+    """Note the rays that are set up, of the packets from the first on."""
+    for j in range(many):
+        ray = column(outputs.setup, j)
+        note_ray(outputs.found, first + j, ray, ray[6] if shadows else np.inf)
 
-    marks  (box of all, ways that lead to no neighbour), see `node.tracing.ray_classify`
-    """
-    setup = outputs.setup
-    passing, ending, searched = classify(surfaces, many, shadows, *marks, setup)
-    counts[WALKS] += passing
-    counts[BOXES] += passing if len(surfaces.floats) > 0 else 0
-    hand_on_all(packets, first, setup.lists, PASSING * SETUP_ROOM, passing, setup.ways, outputs, counts)
-    for k in range(ending + searched):
-        j = unfinished(setup, k, ending)
-        at = (first + j) * SIZE
-        ray, boxes, met = column(setup, j), boxes_of(setup, j), take_root(setup, j, outputs.stack)
-        if shadows:
-            _step_shadow(cell, space, frame, surfaces, pixels, packets, at, ray, boxes, met, outputs, counts)
+
+@cache
+def _make_step_ray(parts: Parts) -> Function:
+    """Make `step_ray`, which steps a primary, reflected or refracted ray."""
+    closest_below, shade = make_closest(parts.meet), make_shade(parts.normals, parts.lit)
+    edge_colour, observed = parts.edge_colour, parts.observed
+
+    @part
+    def step_ray(tables, packets, at, ray, boxes, met):
+        """Step the ray of the packet at `at`, which is set up.
+
+        ray    (way, origin, direction, inverse direction, t_in, t_out, distance), as of `ray_setup.column`
+        boxes  the same as `traverse.for_boxes` gives it; met  how many keys of the root's boxes are on the stack
+        """
+        outputs, counts, kind = tables.outputs, tables.counts, read_kind(packets, at)
+        way, o, d, _, t_in, t_out, _ = ray
+        if way == NOT_AT_START:
+            _hand_to_start(tables, packets, at)
+            return
+        counts[WALKS] += 1
+        if met == 0:
+            counts[BOXES] += len(tables.surfaces.floats) > 0
         else:
-            kind = read_kind(packets, at)
-            _step_ray(cell, space, frame, surfaces, pixels, packets, at, kind, ray, boxes, met, outputs, counts)
-
-
-@lean
-def step(cell, space, frame, surfaces, pixels, packets, ports, first, last, outputs, counts):
-    """Process packets first..last-1 of `packets` (uint8, 25 bytes each) that came by `ports` (uint8).
-
-    Stops early when an output might overflow, and returns the number of the first packet not processed.
-    A packet gives at most one packet a light, a reflected and a refracted ray.
-    """
-    room = (outputs.data.shape[1] - HEAD) // SIZE
-    marks = (box_of_all(surfaces.floats), ends_of_array(cell.index, space.shape))
-    k = first
-    while True:
-        # so many packets cannot fill an output, whatever they spawn: no need to look at each
-        stop = min(last, k + min(SETUP_RAYS, (room - fullest(outputs.held) - noted(outputs)) // (frame.n_lights + 2)))
-        if stop <= k:
-            if noted(outputs) == 0:
-                return k
-            write_all_noted(cell, space, frame, pixels, outputs, counts)
-            continue
-        what, stop = _alike(packets, k, stop)
-        if what == SETTLES:
-            _settle_each(cell, space, frame, pixels, packets, k, stop, outputs, counts)
+            search = Search(o, d, boxes, max(t_in, T_MIN), t_out)
+            t, item, u, v = closest_below(tables.surfaces, outputs.stack, met, search, counts)
+            if item >= 0:
+                p = (o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2])
+                inside = shade(tables, packets, at, kind, d, (t, item, u, v, p))
+                if observed:
+                    note_hit(outputs.found, at // SIZE, item, t, inside)
+                return
+        if leaves_array(tables.cell.index, tables.space.shape, way):
+            _bring_home(tables, packets, at, kind, edge_colour(tables.frame, d))
         else:
-            shadows = what == SHADOWS_ON
-            read_prepared(frame, packets, ports, k, stop, shadows, outputs.setup)
-            set_up_rays(cell, space, stop - k, shadows, outputs.setup)
-            _step_each(cell, space, frame, surfaces, pixels, packets, k, stop - k, shadows, marks, outputs, counts)
-        k = stop
+            hand_on(packets, at, way, outputs, counts)
+
+    return step_ray
+
+
+@cache
+def _make_is_blocked(meet: Function, observed: bool) -> Function:
+    """Make `is_blocked`, which tells whether a shadow ray meets anything; one that is observed meets the nearest."""
+    closest_below, blocked_below = make_closest(meet), make_blocked(meet)
+
+    @part
+    def is_blocked(tables, at, met, search):
+        """Tell whether the ray of the packet at `at` meets anything."""
+        return blocked_below(tables.surfaces, tables.outputs.stack, met, search, tables.counts)
+
+    @part
+    def is_seen_blocked(tables, at, met, search):
+        t, item, _, _ = closest_below(tables.surfaces, tables.outputs.stack, met, search, tables.counts)
+        note_hit(tables.outputs.found, at // SIZE, item, t, False)
+        return item >= 0
+
+    return is_seen_blocked if observed else is_blocked
+
+
+@cache
+def _make_step_shadow(meet: Function, observed: bool) -> Function:
+    """Make `step_shadow`, which steps a shadow ray."""
+    is_blocked = _make_is_blocked(meet, observed)
+
+    @part
+    def step_shadow(tables, packets, at, ray, boxes, met):
+        """Step a shadow ray, arguments as of `step_ray`: forgotten at the first surface, a return packet where it reaches its
+        light."""
+        outputs, counts = tables.outputs, tables.counts
+        way, o, d, _, t_in, t_out, distance = ray
+        if way == NOT_AT_START:
+            _hand_to_start(tables, packets, at)
+            return
+        counts[WALKS] += 1
+        if met == 0:
+            counts[BOXES] += len(tables.surfaces.floats) > 0
+        search = Search(o, d, boxes, max(t_in, T_MIN), min(t_out, distance))
+        if met > 0 and is_blocked(tables, at, met, search):
+            counts[DIED + SHADOW] += 1
+        elif distance <= t_out or leaves_array(tables.cell.index, tables.space.shape, way):
+            _reach_light(tables, packets, at)
+        else:
+            hand_on(packets, at, way, outputs, counts)
+
+    return step_shadow
+
+
+# --- the step ------------------------------------------------------------------------------------------
+
+
+@cache
+def _make_step_each(parts: Parts) -> Function:
+    """Make `step_each`, which steps rays that are set up."""
+    step_ray, step_shadow = _make_step_ray(parts), _make_step_shadow(parts.meet, parts.observed)
+    observed = parts.observed
+
+    @part
+    def step_each(tables, packets, first, many, shadows, marks):
+        """Step `many` packets from the first on, all of shadow rays or none, that are set up already.
+
+        marks  (box of all, ways that lead to no neighbour), see `node.tracing.ray_classify`
+        """
+        outputs, counts = tables.outputs, tables.counts
+        setup = outputs.setup
+        if observed:
+            _note_rays(outputs, first, many, shadows)
+        passing, ending, searched = classify(tables.surfaces, many, shadows, *marks, setup)
+        counts[WALKS] += passing
+        counts[BOXES] += passing if len(tables.surfaces.floats) > 0 else 0
+        hand_on_all(packets, first, setup.lists, PASSING * SETUP_ROOM, passing, setup.ways, outputs, counts)
+        for k in range(ending + searched):
+            j = unfinished(setup, k, ending)
+            at = (first + j) * SIZE
+            ray, boxes, met = column(setup, j), boxes_of(setup, j), take_root(setup, j, outputs.stack)
+            if shadows:
+                step_shadow(tables, packets, at, ray, boxes, met)
+            else:
+                step_ray(tables, packets, at, ray, boxes, met)
+
+    return step_each
+
+
+@cache
+def make_step(parts: Parts) -> Function:
+    """Make the ray step of these parts. The same parts give the same step, which is compiled once."""
+    step_each = _make_step_each(parts)
+
+    @part
+    def step(tables, packets, ports, first, last):
+        """Process packets first..last-1 of `packets` (uint8, 25 bytes each) that came by `ports` (uint8).
+
+        tables  `step_tables.StepTables`
+        Stops early when an output might overflow, and returns the number of the first packet not processed.
+        A packet gives at most one packet a light, a reflected and a refracted ray.
+        """
+        outputs, frame = tables.outputs, tables.frame
+        room = (outputs.data.shape[1] - HEAD) // SIZE
+        marks = (box_of_all(tables.surfaces.floats), ends_of_array(tables.cell.index, tables.space.shape))
+        k = first
+        while True:
+            # so many packets cannot fill an output, whatever they spawn: no need to look at each
+            free = room - fullest(outputs.held) - noted(outputs)
+            stop = min(last, k + min(SETUP_RAYS, free // (frame.n_lights + 2)))
+            if stop <= k:
+                if noted(outputs) == 0:
+                    return k
+                write_all_noted(tables)
+                continue
+            what, stop = _alike(packets, k, stop)
+            if what == SETTLES:
+                _settle_each(tables, packets, k, stop)
+            else:
+                shadows = what == SHADOWS_ON
+                read_prepared(frame, packets, ports, k, stop, shadows, outputs.setup)
+                set_up_rays(tables.cell, tables.space, stop - k, shadows, outputs.setup)
+                step_each(tables, packets, k, stop - k, shadows, marks)
+            k = stop
+
+    return step
+
+
+@cache
+def make_step_one(parts: Parts) -> Function:
+    """Make the ray step of one packet, of the same parts."""
+    step_ray, step_shadow = _make_step_ray(parts), _make_step_shadow(parts.meet, parts.observed)
+
+    @part
+    def step_one(tables, packets, at, port):
+        """Process the packet at byte `at` of `packets` that came by a port."""
+        outputs, kind = tables.outputs, read_kind(packets, at)
+        if kind == RETURN or kind == PIXEL:
+            _settle(tables, packets, at, kind)
+            return
+        ray = set_up_ray(tables.cell, tables.space, tables.frame, packets, at, port, kind)
+        met = open_root_for(tables.surfaces, ray, outputs.stack)
+        boxes = for_boxes(ray[1], ray[3])
+        if kind == SHADOW:
+            step_shadow(tables, packets, at, ray, boxes, met)
+        else:
+            step_ray(tables, packets, at, ray, boxes, met)
+        write_all_noted(tables)
+
+    return step_one
+
+
+step, step_one = make_step(Parts()), make_step_one(Parts())
+observed_step = make_step(Parts(observed=True))

@@ -5,7 +5,7 @@ Nothing here is the machine's: it holds the ray step to its own word.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from raygrid.node.tracing.local_geometry import build_surfaces
 from raygrid.node.tracing.output_queues import make_outputs
 from raygrid.node.tracing.primaries import DONE, new_cursor, spawn_primaries
 from raygrid.node.tracing.step import step
+from raygrid.node.tracing.step_tables import StepTables
 from support.space import Index, indices, neighbour
 
 Bytes = NDArray[np.uint8]
@@ -62,11 +63,20 @@ class Node:
 
 
 class Grid:
-    """All cells of an array. `schedule` shuffles nodes, orders of packets, and how many are handed to a call."""
+    """All cells of an array. `schedule` shuffles nodes, orders of packets, and how many are handed to a call.
+
+    serve  what takes packets first..last-1, arguments and result as of `step`
+    """
 
     def __init__(
-        self, space: Space, surfaces: SurfaceSet, frame: Frame, schedule: np.random.Generator | None = None
+        self,
+        space: Space,
+        surfaces: SurfaceSet,
+        frame: Frame,
+        schedule: np.random.Generator | None = None,
+        serve: Callable[..., int] = step,
     ) -> None:
+        self.step = serve
         self.space, self.frame, self.schedule = space, frame, schedule
         self.limits = frame_limits(frame, space.shape)
         self.nodes = {index: Node(space, index, surfaces, frame) for index in indices(space)}
@@ -90,12 +100,14 @@ class Grid:
                     self._serve(node)
             live = [n for n in self.nodes.values() if n.waiting() or (births and n.cursor[DONE] == 0)]
 
+    def tables(self, node: Node) -> StepTables:
+        """What the step of a cell reads and writes."""
+        return StepTables(node.cell, self.space, self.frame, node.surfaces, node.pixels, self.outputs, node.counts)
+
     def _bear(self, node: Node) -> None:
         room = 4096 if self.schedule is None else int(self.schedule.choice([1, 100, 4096]))
         buffer = np.zeros(room * SIZE, np.uint8)
-        made = spawn_primaries(
-            node.cell, self.space, self.frame, node.pixels, node.cursor, buffer, 0, room, self.outputs.seen, node.counts
-        )
+        made = spawn_primaries(self.tables(node), node.cursor, buffer, 0, room)
         node.receive(buffer.reshape(-1, SIZE)[:made].copy(), SELF)
 
     def _serve(self, node: Node) -> None:
@@ -110,19 +122,7 @@ class Grid:
         while first < many:
             in_parts = self.schedule is not None and self.schedule.random() < 0.3
             last = int(self.schedule.integers(first + 1, many + 1)) if in_parts else many
-            done = step(
-                node.cell,
-                self.space,
-                self.frame,
-                node.surfaces,
-                node.pixels,
-                flat,
-                served,
-                first,
-                last,
-                self.outputs,
-                node.counts,
-            )
+            done = self.step(self.tables(node), flat, served, first, last)
             assert done > first, "a step with room for its outputs made no headway"
             self.processed += done - first
             self.stopped += done < last

@@ -103,7 +103,7 @@ def serve(
     node, outputs = grid.nodes[index], grid.outputs
     decoding.check(data, grid.limits)
     rows, ports = np.frombuffer(bytearray(data), np.uint8), np.array([port], np.uint8)
-    done = step(node.cell, grid.space, grid.frame, node.surfaces, node.pixels, rows, ports, 0, 1, outputs, node.counts)
+    done = step(grid.tables(node), rows, ports, 0, 1)
     assert done == 1
     out = {}
     for output in range(OUTPUTS):

@@ -13,8 +13,8 @@ from support.render import EIGHT, ONE, SCENES, rendered, shared
 from support.terminal import Terminal
 from support.tree import Branch, oracle_tree
 
-from raygrid.emulator.analysis import provenance
 from raygrid.emulator.analysis.provenance import Provenance, Ray
+from raygrid.emulator.analysis.single_step import SingleStep
 from raygrid.host.cli.trace import trace_pixel
 from raygrid.host.render.job import Settings, make_job
 from raygrid.host.scene.lights import NO_DISC
@@ -249,10 +249,15 @@ def test_an_array_too_large_for_memory_is_refused_before_the_work():
     )
 
 
-def test_a_step_and_a_look_that_disagree_are_an_error(monkeypatch):
+def test_a_step_that_contradicts_itself_is_an_error(monkeypatch):
     job = job_of(TINY, ONE, size=(13, 11))
-    real = provenance.find_hit
-    monkeypatch.setattr(provenance, "find_hit", lambda *args: (-1, *real(*args)[1:]))
+    serve = SingleStep.serve
+
+    def blind(steps, *arguments):
+        served = serve(steps, *arguments)
+        return served._replace(met=served.met._replace(item=-1))
+
+    monkeypatch.setattr(SingleStep, "serve", blind)
     with pytest.raises(ArrayError, match="ended otherwise than its surfaces say"):
         tracing(job).pixel(6, 5)
 

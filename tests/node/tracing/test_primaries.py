@@ -10,14 +10,17 @@ from support.kernels import Samples, all_samples
 from support.packets import rows
 from support.space import UNEVEN_STEP, Index, even_space, indices, uneven_space
 
+from raygrid.node.geometry.bvh import DEPTH
 from raygrid.node.geometry.lattice import HALF, LONGEST_STEP, SLOW, Space, coordinate, make_cell
 from raygrid.node.protocol import decoding, packets, packing
 from raygrid.node.protocol.counters import BORN, COUNTS
 from raygrid.node.protocol.frame_tables import Frame
 from raygrid.node.tracing.camera import TRIES
 from raygrid.node.tracing.framebuffer import Pixels, make_pixels, slot
+from raygrid.node.tracing.local_geometry import empty_surfaces
+from raygrid.node.tracing.output_queues import make_outputs
 from raygrid.node.tracing.primaries import DONE, new_cursor, spawn_primaries
-from raygrid.node.tracing.primary_rays import make_primary_batch
+from raygrid.node.tracing.step_tables import StepTables
 
 WHITE = packing.pack_weight(1.0, 1.0, 1.0)
 SPACES = {
@@ -33,9 +36,10 @@ def born(frame: Frame, space: Space, index: Index, room: int = 10_000) -> tuple[
     cell = make_cell(space, index)
     pixels = make_pixels(frame, space, cell)
     cursor, counts, found = new_cursor(len(pixels.first) > 0), np.zeros(COUNTS, np.int64), []
+    tables = StepTables(cell, space, frame, empty_surfaces(), pixels, make_outputs(1, DEPTH), counts)
     buffer = np.zeros((room + 3) * packets.SIZE, np.uint8)
     while cursor[DONE] == 0:
-        made = spawn_primaries(cell, space, frame, pixels, cursor, buffer, 2, room, make_primary_batch(), counts)
+        made = spawn_primaries(tables, cursor, buffer, 2, room)
         assert made <= room
         assert made == room or cursor[DONE] == 1
         data = buffer.tobytes()

@@ -12,6 +12,7 @@ from support.kernels import ray_packets
 from support.scenes import EVEN_STEP, SHAPES, Rays, Scene, birth_cells, mixed_scene, space_of, trouble
 from support.surfaces import F64
 
+from raygrid.node.geometry.bvh import DEPTH
 from raygrid.node.geometry.grid_walk import HOST, SELF, SELF_RAYS
 from raygrid.node.geometry.lattice import HALF
 from raygrid.node.geometry.surfaces import Kind
@@ -19,6 +20,8 @@ from raygrid.node.protocol import packets
 from raygrid.node.protocol.counters import BORN, BOXES, DIED, HITS, SENT, TESTS, WALKS
 from raygrid.node.protocol.messages import HEAD
 from raygrid.node.protocol.packets import SIZE
+from raygrid.node.tracing.output_queues import make_outputs
+from raygrid.node.tracing.step import observed_step, step_one
 
 STEPS = {"even": EVEN_STEP, "askew": (0.55 / HALF, 0.37 / HALF, 0.47 / HALF)}
 # cells so thin that spawned rays land many cells away
@@ -44,6 +47,39 @@ def whole_frame(step: str) -> tuple[Scene, F64, np.ndarray]:
     scene = mixed_scene(11, STEPS[step], 24, samples=2, min_weight=0.002)
     grid = traced(scene, "1x1x1", None)
     return scene, grid.sums(), grid.counts()
+
+
+# --- one step, whoever takes it ------------------------------------------------------------------------------
+
+
+def one_by_one(tables, packets, ports, first, last):
+    """Serve a packet by `step_one`."""
+    step_one(tables, packets, first * SIZE, np.int64(ports[first]))
+    return first + 1
+
+
+def observed(tables, packets, ports, first, last):
+    """Serve packets by an observed step, as many as it has room to note."""
+    many = min(last - first, len(tables.outputs.found.items))
+    return first + observed_step(tables, packets[first * SIZE :], ports[first:], 0, many)
+
+
+@pytest.mark.parametrize("shape", ["1x1x1", "2x2x2"])
+def test_a_step_of_one_and_an_observed_step_do_what_the_step_does(shape):
+    scene = mixed_scene(12, STEPS["askew"], 10, samples=2, min_weight=0.002)
+    wanted = traced(scene, shape, None)
+    for serve, searches in ((one_by_one, True), (observed, False)):
+        grid = Grid(space_of(shape, scene.step), scene.surfaces, scene.frame, None, serve)
+        grid.outputs = make_outputs(1024, DEPTH, 1024)
+        grid.run()
+        grid.check_conservation()
+        np.testing.assert_array_equal(grid.sums(), wanted.sums())
+        for index, node in grid.nodes.items():
+            counts, others = node.counts.copy(), wanted.nodes[index].counts.copy()
+            if not searches:  # of shadow rays the nearest surface is looked for
+                for searched in (counts, others):
+                    searched[TESTS:WALKS] = searched[BOXES] = 0
+            np.testing.assert_array_equal(counts, others)
 
 
 # --- laws 4 and 5 on whole frames ---------------------------------------------------------------------------
