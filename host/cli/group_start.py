@@ -71,7 +71,7 @@ def demo(shape: tuple[int, int, int], printed: bool, **options: Any) -> None:
 
 
 @click.command(epilog=SCHEMA_EXAMPLES)
-@click.argument("kind", type=click.Choice(SCHEMAS), required=False)
+@click.argument("kind", type=click.Choice(SCHEMAS), metavar="[KIND]", required=False)
 def schema(kind: str | None) -> None:
     """Print the JSON schema of a file, for editors and programs.
 
@@ -83,7 +83,7 @@ def schema(kind: str | None) -> None:
 
 
 @click.command(epilog=COMPLETION_EXAMPLES)
-@click.argument("shell", type=click.Choice(SHELLS))
+@click.argument("shell", type=click.Choice(SHELLS), metavar="SHELL")
 def completion(shell: str) -> None:
     """Print what lets a shell complete commands, options and names.
 
