@@ -33,7 +33,7 @@ Examples:
   raygrid completion fish
 
 \b
-What is printed is for the shell, once in each session or in its start-up file:
+What is printed is for the shell, in each session or its start-up file:
   bash, ~/.bashrc:   eval "$(raygrid completion bash)"
   zsh, ~/.zshrc:     eval "$(raygrid completion zsh)"
   fish:              raygrid completion fish | source
