@@ -247,11 +247,13 @@ def test_probe_and_status_tell_the_same_figure_of_memory_by_the_same_name(name, 
 # ---- facts for programs ----
 
 
-def test_what_was_done_is_told_as_json(name, array, tmp_path):
-    job = array.submit(TINY, output=tmp_path / "a.npy", **LONG).job
+def test_what_was_done_is_told_as_json(name, tmp_path):
+    with raygrid.connect(name) as array:
+        job = array.submit(TINY, output=tmp_path / "a.npy", **LONG).job
     assert json.loads(on(name, "cancel", str(job), "--json").out) == {"cancelled": [job]}
     told = json.loads(on(name, "reset", "--json").out)
-    assert told == {"name": name, "nodes": [node["pid"] for node in array.status()["nodes"]]}
+    with raygrid.connect(name) as array:
+        assert told == {"name": name, "nodes": [node["pid"] for node in array.status()["nodes"]]}
     try:
         assert json.loads(on(name, "down", "--json").out) == {"name": name, "killed": False, "unfinished": 0}
         up(name)
