@@ -88,7 +88,8 @@ check-bounds: $(STAMP) ## tests of kernels, and some pictures, with every index 
 	@for scene in scenes/room.glb scenes/lights.toml $(wildcard $(SHARED)/scenes/spd/balls_3.nff $(SHARED)/scenes/spd/gears_1.nff); do \
 	    echo "$$scene" && $(CHECKED) $(BIN)/raygrid render "$$scene" --size 256x192 -q -o out/checked.png || exit 1; done
 
-check-interpreted: $(STAMP) ## tests of what is plain Python, without a compiler
+check-interpreted: $(VENV)/.dev ## tests without a compiler, and how much of the kernels they run: 95 % or more
+	$(BIN)/python benchmarks/kernel_coverage.py --least 95
 	NUMBA_DISABLE_JIT=1 $(PYTEST) -m "not slow" tests/node/protocol tests/node/jit/test_intrinsics.py \
 	    tests/node/jit/test_records.py tests/node/jit/test_switches.py tests/node/links/test_link.py \
 	    tests/node/links/test_link_flow.py tests/node/links/test_control_channel.py

@@ -40,7 +40,12 @@ NEEDED = (  # distributions that raygrid does not run without, by their usual na
     *("rich", "pydantic"),
 )
 IMPORTED = {"numpy": "numpy", "numba": "numba", "zmq": "pyzmq", "msgpack": "msgpack", "xxhash": "xxhash"}  # by nodes
-EXTRAS = {"plots": ("matplotlib",), "law": ("matplotlib", "scipy"), "prometheus": ("prometheus_client",)}
+EXTRAS = {
+    "plots": ("matplotlib",),
+    "law": ("matplotlib", "scipy"),
+    "prometheus": ("prometheus_client",),
+    "exr": ("openexr",),
+}
 # package of a kernel -> the kind of kernels to which it belongs, where that is not the first
 KIND_OF_PACKAGE = {"timed": KINDS[1], "simulator": SIMULATOR, "analysis": ANALYSIS}
 HELPS = {  # resource -> what helps if there is too little of it

@@ -40,7 +40,7 @@ def export_file(
     **view: Unpack[GivenView],
 ) -> str:
     """Read a scene and write it as a file of the output's suffix; returns the path written, the scene's name with .pov by
-    default.
+    default. Standard output (-), a pipe or a device gets POV-Ray's words.
 
     depth       for .pov: greatest depth of the ray tree; None: what the scene asks for, else 5
     highlights  whether materials' highlights are used; None: as the scene has it
@@ -53,7 +53,8 @@ def export_file(
     if source is not None:
         check_name(str(scene))
     path = f"{'scene' if source is None else source.stem}.pov" if output is None else str(output)
-    suffix = Path(path).suffix.lower()
+    to_pipe = path == "-" or (Path(path).exists() and not Path(path).is_file())
+    suffix = ".pov" if to_pipe else Path(path).suffix.lower()
     check_path(path)
     with noted():  # called from Python, too
         if source is not None:

@@ -126,7 +126,7 @@ def load_scene(scene: SceneLike, allow_outside: bool = False, remedy: str = REME
 
 
 def _creased(scene: SceneLike, allow_outside: bool, remedy: str, crease: float) -> Scene:
-    """As `_read`, with another crease than meshes would have."""
+    """Read a scene whose meshes get another crease than they would have."""
     from raygrid.host.scene.scene import Scene
     from raygrid.host.scene.smooth_normals import crease_asked
 

@@ -22,8 +22,7 @@ LARGEST_INTEGER = 2**63 - 1
 @part
 def inverse(d):
     """1 / d, finite for d = 0 (and never larger than HUGE)."""
-    quotient = 1.0 / d
-    return HUGE if abs(d) < 1.0 / HUGE else quotient
+    return HUGE if abs(d) < 1.0 / HUGE else 1.0 / d
 
 
 @part

@@ -8,7 +8,7 @@ import numpy as np
 
 from raygrid.node.geometry.lattice import HALF, LATTICE, Space, make_space
 from raygrid.node.geometry.surfaces import Batch, Kind, SurfaceSet
-from raygrid.node.protocol import packets
+from raygrid.node.protocol import packing
 from raygrid.node.protocol.frame_tables import Frame
 from raygrid.node.protocol.packing import HALF_DIRECTION
 from support.frames import directional_light, make_frame, material, orthographic, perspective, point_light
@@ -122,7 +122,7 @@ class Rays(NamedTuple):
 
     def directions(self) -> F64:
         """What the codes stand for."""
-        return np.array([packets.unit_vector(a, b) for a, b in self.codes])
+        return np.stack(packing.unit_vector(self.codes[:, 0], self.codes[:, 1]), axis=-1)
 
 
 def troublesome_rays(rng: Generator, n: int) -> Rays:

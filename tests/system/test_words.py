@@ -146,6 +146,20 @@ def test_retired_words_do_not_come_back():
     assert faults(retired(MODULES, WORDS, RETIRED_AS_NAMES), KEPT, LEFT) == []
 
 
+def told_of_another(modules: Modules) -> list[str]:
+    """First lines that only refer to another function, where what is done stands once and is said there."""
+    return [
+        f"{name}: {line}"
+        for name, module in modules.items()
+        for line in first_lines(module.tree)
+        if line.startswith("As ")
+    ]
+
+
+def test_every_first_line_says_what_is_done():
+    assert told_of_another(MODULES) == []
+
+
 def test_no_two_classes_share_a_name():
     assert twice(MODULES) == []
 
@@ -175,5 +189,8 @@ def test_each_check_sees_what_is_wrong(tmp_path):
         "node.jit.cache uses 'astray'",
         "node.jit.tally uses 'tally'",
     ]
+    assert told_of_another(modules) == []
+    sieve.write_text('def f():\n    """As `g`, faster."""\n')
+    assert told_of_another(read_modules(tmp_path)) == ["node.jit.cache: As `g`, faster."]
     assert twice(modules) == ["Door is a class of node.jit.cache and of node.jit.tally"]
     assert two_values({"a": {"N": 1, "M": 2.0, "x": 1}, "b": {"N": 1, "M": 3, "x": 2}}) == ["M: {'a': 2.0, 'b': 3}"]

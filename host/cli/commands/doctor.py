@@ -108,10 +108,11 @@ def _slow(paths: dict[str, FastPath] | None) -> Iterator[str]:
     if paths is None or not paths["compiled kernels"]["on"]:
         return
     for name, path in paths.items():
-        if path["why"] is None or name not in HELP_OF_PATH:
-            continue
-        variable, asks, _ = path["why"].partition(" asks for it")
-        yield f"{name}: off, which is slower: unset {variable.partition('=')[0]}" if asks else HELP_OF_PATH[name]
+        variable, asks, _ = (path["why"] or "").partition(" asks for it")
+        if asks:
+            yield f"{name}: off, which is slower: unset {variable.partition('=')[0]}"
+        elif path["why"] is not None and name in HELP_OF_PATH:
+            yield HELP_OF_PATH[name]
 
 
 def _not_kept(cache: CacheFacts | None) -> Iterator[str]:

@@ -41,6 +41,7 @@ def scene(tmp_path, monkeypatch):
     Path("probes.jsonl").write_text(RECORDING)
     os.symlink("spot.png", "link.png")
     os.link("spot.png", "hard.png")
+    os.link("spot.png", "hard.pov")
     os.link("base.nff", "hard.json")
     os.mkdir("sub")
     os.symlink("..", "sub/up")
@@ -98,7 +99,7 @@ REFUSED = [  # arguments, how the line ends
         "as the cost model, wanted another",
     ),
     (["export", "scene.toml", "-o", "spot.obj"], f"spot.obj: {MADE_OF}"),
-    (["export", "scene.toml", "-o", "hard.png"], f"hard.png: {MADE_OF}"),
+    (["export", "scene.toml", "-o", "hard.pov"], f"hard.pov: {MADE_OF}"),
     (["export", "base.nff", "-o", "hard.json"], "hard.json: the output is the same file as the scene, wanted another"),
     (
         ["probe", "--replay", "probes.jsonl", "--chrome-trace", "probes.jsonl"],

@@ -53,7 +53,7 @@ def test_a_node_killed_between_and_during_increments(array, monkeypatch, order):
     wave, killed, orders = Driver.wave, [], []
 
     def listening(self, told):
-        orders.append(told["do"] if isinstance(told, dict) else told.do)
+        orders.append(told["do"] if isinstance(told, dict) else "trace")
         if orders[-1] == order and orders.count("collect") >= 1 and not killed:
             killed.append(order)
             kill(array, 3)

@@ -1,0 +1,107 @@
+"""Runs the tests of kernels without a compiler, and prints how many of the kernels' lines they run.
+
+    python benchmarks/kernel_coverage.py [--least 95] [TEST ...]
+
+Compiled code cannot be watched line by line, interpreted code can: NUMBA_DISABLE_JIT=1 makes every kernel a plain Python
+function, and every formula runs over numpy's numbers. Needs the package `coverage`. Exits with 1 if a test fails or if fewer
+lines run than asked for.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+DECORATORS = {"part", "lean", "kernel", "piece", "formula", "eight"}
+STAGED = ("Lanes", "Three", "Staged")  # annotations of functions that formulas are written with
+LAYERS = ("node", "emulator")
+TESTS = (
+    "tests/node/tracing",
+    "tests/node/geometry",
+    "tests/node/protocol/test_packets.py",
+    "tests/node/jit/test_formula.py",
+)
+
+
+def is_kernel(function: ast.FunctionDef) -> bool:
+    """Tell whether numba or a formula compiles a function."""
+    decorators = {ast.unparse(one).partition("(")[0] for one in function.decorator_list}
+    annotations = [ast.unparse(one.annotation) for one in function.args.args if one.annotation is not None]
+    return bool(decorators & DECORATORS) or any(name in text for text in annotations for name in STAGED)
+
+
+def kernels(tree: ast.AST, outer: str = "") -> Iterator[tuple[str, bool]]:
+    """(name as coverage gives it, whether it is a kernel) of all functions."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+            name = f"{outer}{node.name}"
+            if isinstance(node, ast.FunctionDef):
+                yield name, is_kernel(node)
+            yield from kernels(node, f"{name}.")
+        else:
+            yield from kernels(node, outer)
+
+
+def count(report: dict[str, Any]) -> dict[str, tuple[int, int, list[int]]]:
+    """Module -> (lines of its kernels, how many of them ran, the others), of a JSON report of coverage."""
+    found: dict[str, tuple[int, int, list[int]]] = {}
+    for file, facts in report["files"].items():
+        for name, kernel in kernels(ast.parse((ROOT / file).read_text())):
+            if kernel and name in facts["functions"]:
+                function = facts["functions"][name]
+                lines, ran, missing = found.get(file, (0, 0, []))
+                ran += len(function["executed_lines"])
+                lines += len(function["executed_lines"]) + len(function["missing_lines"])
+                found[file] = (lines, ran, sorted(missing + function["missing_lines"]))
+    return found
+
+
+def run_tests(tests: list[str], folder: str) -> tuple[int, dict[str, Any]]:
+    """Run tests interpreted; returns pytest's exit code and the report."""
+    data, report = f"{folder}/data", f"{folder}/report.json"
+    coverage = [sys.executable, "-m", "coverage"]
+    pytest = ["-m", "pytest", "-q", "-m", "not slow", "-W", "ignore::RuntimeWarning", *tests]
+    command = [*coverage, "run", f"--data-file={data}", f"--source={','.join(LAYERS)}", *pytest]
+    code = subprocess.run(command, cwd=ROOT, env={**os.environ, "NUMBA_DISABLE_JIT": "1"}).returncode
+    subprocess.run([*coverage, "json", f"--data-file={data}", "-q", "-o", report], cwd=ROOT, check=True)
+    return code, json.loads(Path(report).read_text())
+
+
+def tell(found: dict[str, tuple[int, int, list[int]]]) -> float:
+    """Print a line a module, and all together; returns the share that ran, in percent."""
+    sums: dict[str, list[int]] = defaultdict(lambda: [0, 0])
+    for file, (lines, ran, missing) in sorted(found.items()):
+        sums["all kernels"][0] += lines
+        sums["all kernels"][1] += ran
+        print(f"{file:42}{lines:6}{ran / lines:8.1%}  {' '.join(map(str, missing[:12]))}")
+    lines, ran = sums["all kernels"]
+    print(f"{'all kernels':42}{lines:6}{ran / max(lines, 1):8.1%}")
+    return 100.0 * ran / max(lines, 1)
+
+
+def main() -> int:
+    """Run, print, and compare with what is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--least", type=float, default=0.0, metavar="PERCENT")
+    parser.add_argument("tests", nargs="*", default=list(TESTS), metavar="TEST")
+    asked = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        code, report = run_tests(asked.tests, folder)
+    share = tell(count(report))
+    if share < asked.least:
+        print(f"{share:.1f} % of the kernels' lines ran, wanted {asked.least:g} %", file=sys.stderr)
+    return 1 if code or share < asked.least else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
