@@ -52,7 +52,7 @@ style: $(VENV)/.dev ## ruff
 types: $(VENV)/.dev ## mypy, over links that show the packages under their import names
 	@mkdir -p build/types/raygrid
 	@for layer in node emulator host; do ln -sfn ../../../$$layer build/types/raygrid/$$layer; done
-	@ln -sfn ../../../host/facade/__init__.py build/types/raygrid/__init__.py
+	@for file in __init__ aio; do ln -sfn ../../../host/facade/$$file.py build/types/raygrid/$$file.py; done
 	cd build/types && ../../$(BIN)/mypy --config-file ../../pyproject.toml -p raygrid
 
 # one after the other even under make -j, so that what is printed last is what failed first

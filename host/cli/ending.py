@@ -18,6 +18,7 @@ from types import FrameType
 
 import click
 
+from raygrid.host.cli.conventions import source_of
 from raygrid.host.files.input_guard import noted
 
 DEBUG = "RAYGRID_DEBUG"
@@ -111,7 +112,7 @@ def _misused(error: click.ClickException) -> str:
     message = " ".join(error.format_message().split())
     if isinstance(error, click.BadParameter) and error.message and error.param is not None:
         names = sorted((*error.param.opts, error.param.human_readable_name), key=lambda name: -name.count("-"))
-        message = f"{names[0]}: {' '.join(error.message.split())}"
+        message = f"{names[0]}: {' '.join(error.message.split())}{source_of(error)}"
     return message
 
 

@@ -15,6 +15,7 @@ from raygrid.host.cli.types import (
     FileName,
     NumberType,
     PairType,
+    SceneName,
     ShapeType,
     outside_option,
     path_option,
@@ -56,7 +57,7 @@ Examples:
   raygrid doctor
   raygrid doctor --json
 
-Exit code 1: something would stop a small array, and it is said what helps. docs/doctor.md says more.
+docs/doctor.md says more.
 """
 
 
@@ -99,7 +100,7 @@ def _frame_options(command: Command) -> Command:
 
 
 @click.command(short_help="Print the tree of rays of one pixel: what each hit and brought.", epilog=TRACE_EXAMPLES)
-@click.argument("scene")
+@click.argument("scene", type=SceneName())
 @click.option("--pixel", type=PixelType(), required=True, metavar="X,Y", help="Column and row, 0,0 top left.")
 @click.option("--sample", type=NumberType(0, MAX_SAMPLES), metavar="K", help="This sample of the pixel only.  [default: all]")
 @_frame_options
@@ -119,7 +120,7 @@ def trace(
 
 
 @click.command(epilog=JAM_EXAMPLES)
-@click.argument("scene")
+@click.argument("scene", type=SceneName())
 @click.option("--room", type=NumberType(1, 1 << 20), default=64, show_default=True, metavar="PACKETS",
               help="What the buffer of a link holds, each way.")
 @click.option("--budget", type=NumberType(1, MAX_BUDGET), metavar="RAYS",
@@ -160,6 +161,9 @@ def probe(**options: Any) -> None:
 
     Probes only read: pictures are the same bits with and without.
     """
+    source = click.get_current_context().get_parameter_source("name")
+    if options["replay"] is not None and source is click.core.ParameterSource.ENVIRONMENT:
+        options["name"] = None
     if options["replay"] is not None and (options["name"] is not None or options["prometheus"] is not None):
         raise click.UsageError("--replay came with --name or --prometheus, wanted a recording or an array")
     if options["replay"] is None and (options["speed"] is not None or options["worst"]):
@@ -175,7 +179,7 @@ def probe(**options: Any) -> None:
     run_probe(request)
 
 
-@click.command(epilog=DOCTOR_EXAMPLES)
+@click.command(short_help="Say what raygrid finds on this computer, and what stops it.", epilog=DOCTOR_EXAMPLES)
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 def doctor(as_json: bool) -> None:
     """Say what raygrid finds on this computer, and what would stop it.

@@ -8,10 +8,12 @@ from typing import Any, cast
 import click
 
 from raygrid.host.cli.types import (
+    CostName,
     EdgesType,
     FileName,
     NumberType,
     PairType,
+    SceneName,
     ShapeType,
     debug_option,
     outside_option,
@@ -52,10 +54,10 @@ Writes law.md, law.csv and a plot for each scene. docs/paper.md says what came o
 
 # fmt: off
 @click.command(short_help="Simulate an array in machine time: how long a frame would take.", epilog=SIMULATE_EXAMPLES)
-@click.argument("scene")
+@click.argument("scene", type=SceneName())
 @click.option("--array", "shape", type=ShapeType(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
               help="Processors on each axis: 50x50x50 and more.")
-@click.option("--cost", default="8086", show_default=True, metavar="MODEL",
+@click.option("--cost", type=CostName(), default="8086", show_default=True, metavar="MODEL",
               help="What work costs in ticks: 8086, 8086-soft, t800, unit, modern, or a .toml file.")
 @click.option("--search", type=click.Choice(["list", "tree"]),
               help="How a node looks for hits: tests all it holds, or walks its hierarchy.  [default: the cost model's]")
@@ -78,6 +80,7 @@ Writes law.md, law.csv and a plot for each scene. docs/paper.md says what came o
 @path_option("--plots", metavar="FOLDER",
               help="Write busy.png, links.png and time.png there, made if need be (needs the extra `plots`).")
 @view_options
+@click.option("--json", "as_json", is_flag=True, help="What came out as JSON, as --stats writes it.")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors and results.")
 @outside_option
 @debug_option
@@ -91,8 +94,10 @@ def simulate(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], 
     """
     from raygrid.host.cli.commands.simulate import SimulateRequest, run_simulate
 
-    names = ("cost", "search", "band", "stats", "table", "plots", "transfer", "quiet", "frame")
+    names = ("cost", "search", "band", "stats", "table", "plots", "transfer", "quiet", "frame", "as_json")
     chosen = {name: options.pop(name) for name in names}
+    if chosen["as_json"] and "-" in (*outputs, chosen["stats"]):
+        raise click.UsageError("--json came with -, wanted one of them on standard output", click.get_current_context())
     run_simulate(SimulateRequest(scene, shape, outputs=outputs, **chosen, settings=cast(GivenSettings, options)))
 
 
@@ -129,8 +134,8 @@ def predict(scene: str, shapes: tuple[tuple[int, int, int], ...], **options: Any
 
 
 @click.command(short_help="Fit the law of 1983, T = A + B n + C R / n^2, to simulations.", epilog=LAW_EXAMPLES)
-@click.argument("scenes", nargs=-1, required=True)
-@click.option("--cost", default="8086", show_default=True, metavar="MODEL", help="As for simulate.")
+@click.argument("scenes", nargs=-1, required=True, type=SceneName())
+@click.option("--cost", type=CostName(), default="8086", show_default=True, metavar="MODEL", help="As for simulate.")
 @click.option("--search", type=click.Choice(["list", "tree"]), help="As for simulate.")
 @click.option("--square", type=EdgesType(), default="1,2,3,4,6,8,12,16,24,32", show_default=True, metavar="N,N,...",
               help="Edges of square arrays.")

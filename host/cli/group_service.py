@@ -7,8 +7,9 @@ from collections.abc import Callable
 from typing import Any, cast
 
 import click
+from click.shell_completion import CompletionItem
 
-from raygrid.host.cli.types import AnyType, Command, FileName, FramesType, NumberType, ShapeType, path_option
+from raygrid.host.cli.types import AnyType, Command, FileName, FramesType, NumberType, SceneName, ShapeType, path_option
 from raygrid.host.render.given_settings import SETTINGS, GivenSettings
 from raygrid.host.text.bounds import MAX_JOB, MAX_PRIORITY, MOST_LISTED
 
@@ -86,6 +87,12 @@ class ArrayNameType(AnyType):
             self.fail(str(error), param, ctx)
         return str(value)
 
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """The arrays that are up."""
+        from raygrid.host.client.service_files import running
+
+        return [CompletionItem(array.name) for array in running() if array.name.startswith(incomplete)]
+
 
 def _name_option(command: Command) -> Command:
     text = "Of the array; several can be up at once."
@@ -132,7 +139,7 @@ def list_arrays(as_json: bool) -> None:
 
 
 @click.command(short_help="Render frames of a scene on an array that stays.", epilog=SUBMIT_EXAMPLES)
-@click.argument("scene")
+@click.argument("scene", type=SceneName())
 @_name_option
 @click.option("--frames", type=FramesType(), metavar="A-B", help="As for render.")
 @click.option("-o", "--output", "outputs", multiple=True, type=FileName(), metavar="FILE",
@@ -190,16 +197,17 @@ def jobs(**options: Any) -> None:
 @click.argument("numbers", metavar="JOB...", nargs=-1, type=NumberType(1, MAX_JOB))
 @click.option("--all", "everything", is_flag=True, help="All jobs.")
 @_name_option
-def cancel(numbers: tuple[int, ...], everything: bool, name: str) -> None:
+@_json_option
+def cancel(numbers: tuple[int, ...], everything: bool, name: str, as_json: bool) -> None:
     """Cancel jobs. Frames that are done stay; a frame that is being traced is given up."""
     from raygrid.host.cli.commands.array import run_cancel
 
     if bool(numbers) == everything:
         raise click.UsageError("wanted either numbers of jobs or --all", click.get_current_context())
-    run_cancel(name, None if everything else list(numbers))
+    run_cancel(name, None if everything else list(numbers), as_json)
 
 
-@click.command(epilog=STATUS_EXAMPLES)
+@click.command(short_help="Say how an array is: nodes, load, queue, frames and faults.", epilog=STATUS_EXAMPLES)
 @_name_option
 @click.option("--watch", is_flag=True, help="Say it again and again, until Ctrl-C or the array's end.")
 @click.option("--every", type=NumberType(0.1, 86_400.0), default=1.0, show_default=True, metavar="SECONDS", help="With --watch.")
@@ -213,11 +221,12 @@ def status(**options: Any) -> None:
 
 @click.command(short_help="Empty an array; the running frame is begun again.", epilog=RESET_EXAMPLES)
 @_name_option
-def reset(name: str) -> None:
+@_json_option
+def reset(name: str, as_json: bool) -> None:
     """Empty an array, whatever its state; the running frame is begun again."""
     from raygrid.host.cli.commands.array import run_reset
 
-    run_reset(name)
+    run_reset(name, as_json)
 
 
 @click.command(epilog=DOWN_EXAMPLES)
@@ -225,6 +234,7 @@ def reset(name: str) -> None:
 @click.option("--finish", is_flag=True, help="When all jobs have ended; no more are taken meanwhile.")
 @click.option("--cancel", is_flag=True, help="Cancel all jobs. Without it they go on when the array is up again.")
 @click.option("--kill", is_flag=True, help="Kill a service that does not answer.")
+@_json_option
 def down(**options: Any) -> None:
     """End an array and wait until no process of it is left."""
     from raygrid.host.cli.commands.array import run_down

@@ -15,14 +15,17 @@ from typing import Any, cast
 
 import click
 
-from raygrid.host.cli import group_inspect, group_machine_time, group_service
+from raygrid.host.cli import group_inspect, group_machine_time, group_service, group_start
+from raygrid.host.cli.conventions import apply_conventions
 from raygrid.host.cli.ending import DEBUG, leave, run
 from raygrid.host.cli.types import (
+    CostName,
     FaultType,
     FileName,
     FramesType,
     NumberType,
     PairType,
+    SceneName,
     ShapeType,
     debug_option,
     outside_option,
@@ -39,6 +42,7 @@ ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 EXAMPLES = """\b
 Examples:
+  raygrid demo
   raygrid render scenes/room.glb
   raygrid render scenes/glass.toml --array 3x3x3 --samples 4 -o glass.png
   raygrid render scenes/mobile.toml --frames 1-48 -o 'out/m_%04d.png'
@@ -48,6 +52,9 @@ Examples:
   raygrid export scenes/kinds.nff -o kinds.pov
   raygrid up --array 2x2x2
   raygrid submit scenes/room.glb -o room.png
+
+Variables such as RAYGRID_ARRAY and RAYGRID_NAME have defaults of options; the help of a command names those that it takes,
+and docs/commands.md has them all.
 """
 RENDER_EXAMPLES = """\b
 Examples:
@@ -93,7 +100,7 @@ def cli() -> None:
 
 # fmt: off
 @cli.command(epilog=RENDER_EXAMPLES)
-@click.argument("scene")
+@click.argument("scene", type=SceneName())
 @click.option("--array", "shape", type=ShapeType(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
               help="Processors on each axis.")
 @click.option("--size", type=PairType(), metavar="WxH", help="Pixels.  [default: what the scene asks for, else 512x512]")
@@ -138,7 +145,7 @@ def cli() -> None:
 @click.option("--patience", type=NumberType(0.1, 1e9), default=30.0, show_default=True, metavar="SECONDS",
               help="Time without any progress after which the array is taken to hang.")
 @click.option("--timed", is_flag=True, help="Keep machine time, too: ticks in --stats. Slow; see docs/machine-time.md.")
-@click.option("--cost", metavar="MODEL", help="With --timed, what work costs; as for simulate.  [default: 8086]")
+@click.option("--cost", type=CostName(), metavar="MODEL", help="With --timed, what work costs; as for simulate.  [default: 8086]")
 @click.option("--search", type=click.Choice(["list", "tree"]), help="With --timed; as for simulate.")
 @click.option("--attempts", type=NumberType(1, 1000), default=4, show_default=True, metavar="N",
               help="How often to try when processors are lost or links break; the picture is the same.")
@@ -184,9 +191,10 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
 @click.option("--array", "shape", type=ShapeType(), default="2x2x2", show_default=True, metavar="NXxNYxNZ",
               help="Processors on each axis.")
 @click.option("--allow-programs", is_flag=True, help="Launch an array that takes programs. They run with your rights.")
+@click.option("--json", "as_json", is_flag=True, help="As JSON.")
 @click.option("-q", "--quiet", is_flag=True, help="No talk but errors.")
 @debug_option
-def load(program: str, shape: tuple[int, int, int], allow_programs: bool, quiet: bool) -> None:
+def load(program: str, shape: tuple[int, int, int], allow_programs: bool, as_json: bool, quiet: bool) -> None:
     """Try a program on an array of processes.
 
     PROGRAM is a file as docs/programs.md describes it. Every node checks, compiles and tries it; what is compiled stays on
@@ -194,11 +202,11 @@ def load(program: str, shape: tuple[int, int, int], allow_programs: bool, quiet:
     """
     from raygrid.host.cli.commands.load import run_load
 
-    run_load(program, shape, allow_programs, quiet)
+    run_load(program, shape, allow_programs, quiet, as_json)
 
 
 @cli.command(epilog=INFO_EXAMPLES)
-@click.argument("scene")
+@click.argument("scene", type=SceneName())
 @click.option("--json", "as_json", is_flag=True, help="As JSON.")
 @outside_option
 @debug_option
@@ -215,8 +223,8 @@ def info(scene: str, as_json: bool) -> None:
     write_result(json.dumps(facts, indent=2)) if as_json else write_lines(_lines(facts))
 
 
-@cli.command(epilog=EXPORT_EXAMPLES)
-@click.argument("scene")
+@cli.command(short_help="Write a scene for another program: .pov, .glb, .obj, .ply.", epilog=EXPORT_EXAMPLES)
+@click.argument("scene", type=SceneName())
 @click.option("--depth", type=NumberType(1, MAX_DEPTH), metavar="N", help="As for render.  [default: the scene's, else 5]")
 @click.option("--highlights/--no-highlights", default=None, help="As for render.  [default: off for NFF, else on]")
 @path_option(
@@ -251,6 +259,8 @@ def export(
 group_machine_time.add_commands(cli)
 group_service.add_commands(cli, render, debug_option)
 group_inspect.add_commands(cli, debug_option)
+group_start.add_commands(cli, debug_option)
+apply_conventions(cli)
 
 
 def _lines(facts: Mapping[str, object], indent: str = "") -> Iterator[str]:

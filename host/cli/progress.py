@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from raygrid.emulator.processes import KINDS, NOTE, kind_of
+from raygrid.host.render.progress import traced_part
 from raygrid.host.text.clean_text import printable
 from raygrid.host.text.tables import folded
 
@@ -161,8 +162,7 @@ class ProgressReporter:
             self._bar.update(self._task, completed=self._part(now) * self._expected, detail=detail)
 
     def _part(self, now: Progress) -> float:
-        """How much of the work is done: of the samples those that are born, of what came of them what has died."""
-        return min(1.0, now.primaries / self._expected) * sum(now.died) / max(sum(now.born), 1)
+        return traced_part(now, self._expected)
 
 
 def _new_bar() -> Any:

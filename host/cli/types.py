@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from raygrid.host.text.bounds import MAX_PIXELS, MAX_SIDE
 
@@ -19,6 +20,7 @@ else:
 
 Command = Callable[..., object]
 
+COST_MODELS = ("8086", "8086-soft", "t800", "unit", "modern")
 SIZES = f"wanted sides of 1 to {MAX_SIDE} and at most {MAX_PIXELS:,} pixels"
 
 
@@ -50,6 +52,31 @@ class FileName(AnyType):
         if not value or "\0" in str(value):
             self.fail(f"{shorten(value)} came, wanted the name of a file", param, ctx)
         return str(value)
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """What the shell finds."""
+        return [CompletionItem(incomplete, type="file")]
+
+
+class SceneName(AnyType):
+    """The name of a scene, checked where it is read."""
+
+    name = "scene"
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """What the shell finds."""
+        return [CompletionItem(incomplete, type="file")]
+
+
+class CostName(AnyType):
+    """The name of a cost model that is built in, or of a file, checked where it is read."""
+
+    name = "cost"
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Those that are built in, else what the shell finds."""
+        named = [name for name in COST_MODELS if name.startswith(incomplete)]
+        return [CompletionItem(incomplete, type="file"), *map(CompletionItem, named)]
 
 
 class ShapeType(AnyType):

@@ -1,6 +1,7 @@
 """Speaks to an array that stays. Light to import: neither numpy nor numba. Any thread may use one connection at any time.
 
 with raygrid.connect("film") as array:
+    array.render("room.toml", size=(640, 480)).save("room.png")
     job = array.submit("room.toml", frames=(1, 250), output="out/f_%04d.png", size=(640, 480))
     for file in job.wait().files:
         print(file)
@@ -8,42 +9,38 @@ with raygrid.connect("film") as array:
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import secrets
 import select
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Self, Unpack, cast
+from pathlib import Path
+from typing import TYPE_CHECKING, Self, Unpack, cast
 
-from raygrid.host.client.connection import ANSWER_SECONDS, Connection
+from raygrid.host.client.connection import ANSWER_SECONDS, NO_JOB, Connection
 from raygrid.host.client.facts import ENDED, JobFacts, StatusFacts
+from raygrid.host.client.job_events import Result, check_done, result_of, tell
+from raygrid.host.client.picture_folder import PictureFolder, frames_asked
 from raygrid.host.client.protocol import Message, shown
 from raygrid.host.client.service_files import DEFAULT_NAME, ServiceRecord, find
-from raygrid.host.client.submission import Name, Submission, plain
-from raygrid.host.image.frames import FrameNames, Turntable, check_job
+from raygrid.host.client.submission import GivenJob, Name, checked_message, plain, submission_of
+from raygrid.host.image.frames import Ends
 from raygrid.host.render.given_settings import SETTINGS, GivenSettings
+from raygrid.host.render.progress import ProgressHook, following
 from raygrid.node.errors import ArrayError
+
+if TYPE_CHECKING:
+    from raygrid.host.image.picture import Picture
+    from raygrid.host.render.api import Machine
+    from raygrid.host.render.renderer import Renderer
+    from raygrid.host.scene.load import SceneLike
 
 RESET_SECONDS = 150.0
 
 Watch = Callable[[Message], None]
-
-
-@dataclass(frozen=True)
-class Result:
-    """What became of a job.
-
-    job     its number
-    files   all its files, in the order of its frames
-    frames  how many it has; `skipped` of them were there already
-    """
-
-    job: int
-    files: tuple[str, ...]
-    frames: int
-    skipped: int
 
 
 @dataclass(frozen=True)
@@ -79,63 +76,85 @@ class Service:
         self._client = f"client {os.getpid()}.{secrets.token_hex(4)}"
         self.name, self.shape, self.pid = self._record.name, self._record.shape, self._record.pid
 
-    def submit(
-        self,
-        scene: Name,
-        *,
-        output: Name | Sequence[Name],
-        frames: tuple[int, int] | None = None,
-        stats: Name | None = None,
-        transfer: str = "srgb",
-        budget: int | None = None,
-        resume: bool = False,
-        client: str | None = None,
-        turntable: int | None = None,
-        turn_scene: bool = False,
-        program: Name | None = None,
-        priority: int = 0,
-        **settings: Unpack[GivenSettings],
-    ) -> Submitted:
+    def __repr__(self) -> str:
+        return f"<raygrid.Service {self.name!r} {'x'.join(map(str, self.shape))}, process {self.pid}>"
+
+    def submit(self, scene: Name, *, output: Name | Sequence[Name], **given: Unpack[GivenJob]) -> Submitted:
         """Queue a job and return at once. Paths may be relative to the current directory.
 
         scene     path of the scene's file, which the service reads when the job's turn comes
         output    path of a picture or a .npy, or several; with several frames each has a %04d for the number, or is a
                   .gif, .webp or .mp4 of them all; %% is a %
-        frames    first and last; None: all of a turntable, else one frame without number
-        stats     path of the statistics, with %04d likewise
-        resume    skip frames whose files are there, whole, and of this very job
-        client    in whose turn it is rendered; None: this connection's own
-        turntable  so many frames make a shot of a still scene: the camera goes once round; `turn_scene`: the scene turns
-        program   path of a program for the nodes, for an array that was launched to take it
-        priority  -100 to 100: frames of higher ones go first, and one that runs is given up for them if it would take long
-        settings  size, samples, depth, min_weight, highlights, split (`raygrid.host.render.machine_job.Settings`), and eye,
+        given     frames, stats, transfer, budget, resume, client, turntable, turn_scene, program, priority (`GivenJob`); size,
+                  samples, depth, min_weight, highlights, split (`raygrid.host.render.machine_job.Settings`), and eye,
                   at, up, fov, camera, fit, lights, background, crease (`raygrid.host.scene.view.GivenView`)
         Raises TypeError for another setting, OutputError for names that cannot be, ArrayError for what the service refuses.
         """
-        unknown = set(settings) - set(SETTINGS)
-        if unknown:
-            raise TypeError(f"the settings {sorted(unknown)} came, wanted some of {', '.join(SETTINGS)}")
-        if frames is None and isinstance(turntable, int):
-            frames = 1, turntable
-        several = isinstance(output, Sequence) and not isinstance(output, str | bytes)
-        patterns: list[Any] = list(output) if several else [output]  # type: ignore[arg-type]
-        asked = Submission(
-            scene=scene,
-            outputs=patterns,
-            settings=settings,
-            frames=frames,
-            stats=stats,
-            transfer=transfer,
-            budget=budget,
-            resume=resume,
-            client=self._client if client is None else client,
-            turntable=None if turntable is None else Turntable(turntable, turn_scene),
-            program=program,
-            priority=priority,
-        ).message()
-        if frames is None or _are_ends(frames):
-            check_job(asked["outputs"], asked["stats"], frames)  # else the service says what is wrong
-        return Submitted(self, self._connection.ask(asked)["job"])
+        asked = submission_of(scene, output, self._client, given)
+        return Submitted(self, self._connection.ask(checked_message(asked))["job"])
+
+    def render(
+        self,
+        scene: SceneLike,
+        *,
+        budget: int | None = None,
+        program: str | Path | None = None,
+        priority: int = 0,
+        progress: ProgressHook | bool = True,
+        **settings: Unpack[GivenSettings],
+    ) -> Picture:
+        """Render a scene and give the picture back, as `Machine.render` does: a job like others, of which no file is left.
+
+        scene     the path of a file, a raygrid.Scene, or an object of trimesh
+        progress  True: a bar in a notebook; False: none; a function: called with a RenderProgress as the work goes on
+        The others as for `submit`. If this is interrupted, the job is cancelled.
+        Raises ArrayError if the job fails, is cancelled, or the array ends; SceneError for what is no scene.
+        """
+        with PictureFolder(scene, several=False) as folder:
+            (picture,) = self._pictures(folder, None, progress, given_job(settings, budget, program, priority))
+        return picture
+
+    def render_frames(
+        self,
+        scene: SceneLike,
+        frames: Iterable[int] | None = None,
+        *,
+        budget: int | None = None,
+        program: str | Path | None = None,
+        priority: int = 0,
+        progress: ProgressHook | bool = True,
+        **settings: Unpack[GivenSettings],
+    ) -> Iterator[Picture]:
+        """Render frames of a shot one after the other, as `Machine.render_frames` does; the array goes on while the caller
+        has a picture.
+
+        frames  their numbers, from 1; None: all of the shot. Those that follow one another are one job
+        The others, and what is raised, as for `render`.
+        """
+        with PictureFolder(scene, several=True) as folder:
+            for ends in frames_asked(folder.scene, frames):
+                yield from self._pictures(folder, ends, progress, given_job(settings, budget, program, priority))
+
+    def _pictures(
+        self, folder: PictureFolder, frames: Ends | None, progress: ProgressHook | bool, given: GivenJob
+    ) -> Iterator[Picture]:
+        """The frames of one job as they are done. Cancels it if they are not all taken."""
+        asked = submission_of(
+            folder.scene, folder.output, self._client, {**given, "frames": frames, "stats": folder.stats}
+        )
+        with following(progress, folder.title) as hook, self._connection.listen(NO_JOB) as listener:
+            job = self._connection.ask(checked_message(asked, follow=True), listener=listener)["job"]
+            try:
+                for event in listener.follow():
+                    tell(event, folder.title, hook)
+                    if event["what"] == "frame":
+                        yield folder.take(event["frame"])
+                    elif event["what"] == "end":
+                        check_done(job, event)
+            except BaseException:
+                with contextlib.suppress(ArrayError):
+                    self.cancel([job])
+                raise
 
     def wait(self, job: int, watch: Watch | None = None) -> Result:
         """Wait until a job has ended. `watch` is called with each event (docs/service.md): progress, frames, remarks.
@@ -149,9 +168,7 @@ class Service:
                 end = event
                 if watch is not None:
                     watch(event)
-        if end["state"] != "done":
-            raise ArrayError(f"job {job} {_said(end)}")
-        return Result(job, tuple(_files_of(facts)), end["frames"], end["skipped"])
+        return result_of(job, facts, end)
 
     def cancel(self, jobs: Sequence[int] | None) -> list[int]:
         """Cancel jobs, None: all; returns those that had not ended. Raises ArrayError if one of them is not known."""
@@ -228,23 +245,13 @@ def wait_gone(record: ServiceRecord, timeout: float | None = None) -> bool:
     return not record.alive
 
 
-def _are_ends(frames: Any) -> bool:
-    """Whether this is the first and the last of some frames."""
-    pair = isinstance(frames, Sequence) and len(frames) == 2 and all(isinstance(number, int) for number in frames)
-    return pair and 1 <= frames[0] <= frames[1]
+def given_job(settings: GivenSettings, budget: int | None, program: str | Path | None, priority: int) -> GivenJob:
+    """What a job is given of the arguments of a render. Raises TypeError for another setting."""
+    unknown = set(settings) - set(SETTINGS)
+    if unknown:
+        raise TypeError(f"the settings {sorted(unknown)} came, wanted some of {', '.join(SETTINGS)}")
+    return cast(GivenJob, {**settings, "budget": budget, "program": program, "priority": priority})
 
 
-def _files_of(facts: Message) -> Iterator[str]:
-    """All files of a job, in the order of its frames; those that play after the last."""
-    shot = facts["first"] is not None
-    names = FrameNames.split(facts["outputs"], None, shot)
-    for number in range(facts["first"], facts["last"] + 1) if shot else [None]:
-        yield from names.of(number)
-    yield from names.played
-
-
-def _said(end: Message) -> str:
-    """What became of a job that is not done, as the end of a sentence."""
-    if end["state"] == "failed":
-        return f"failed: {end['error']}"
-    return "was cancelled" if end["state"] == "cancelled" else f"is not done: {end['error']}"
+if TYPE_CHECKING:
+    RENDERERS: tuple[type[Renderer], ...] = (Machine, Service)  # checked by mypy: both are what they say they are

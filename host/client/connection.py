@@ -25,11 +25,13 @@ from raygrid.host.client.facts import ENDED
 from raygrid.host.client.protocol import VERSION, Message, message_splitter, pack, unsendable
 from raygrid.host.client.service_files import SOCKET, TOKEN, ServiceRecord, check_private, read_private
 from raygrid.node.errors import ArrayError, ProtocolError
+from raygrid.node.protocol import Splitter
 
 ANSWER_SECONDS = 20.0  # a service that lives answers at once
 QUIET_SECONDS = 30.0  # without any news of a job, after which the service is asked how it is
 FIRST_WAIT, LONGEST_WAIT = 0.01, 0.25  # seconds between two attempts to connect where others wait
 MOST_KEPT = 1000  # events that wait for a listener, above which it is not told of progress and samples
+NO_JOB = 0  # for a listener whose job has no number yet: a job never has this one
 PASSING = ("progress", "sample")  # events that are outdated by the next
 
 T = TypeVar("T")
@@ -148,7 +150,7 @@ class Connection:
 
     def _exchange(self, request: Message, seconds: float, listener: EventListener | None = None) -> Message:
         slot = _Slot(listener)
-        self._send(_packed(request), slot, seconds)
+        self._send(packed(request), slot, seconds)
         try:
             while True:
                 answer = self.wait_for(lambda: slot.answer, seconds)
@@ -158,7 +160,7 @@ class Connection:
                     before = list(self._slots)
                 # One after the other is answered, so who waits behind a reset gets the same time after it.
                 if not any(not other.abandoned for other in before[: before.index(slot)] if slot in before):
-                    raise _silent(self.record, seconds)
+                    raise silence(self.record, seconds)
         finally:
             slot.abandoned = True
 
@@ -166,7 +168,7 @@ class Connection:
         """Put a request behind those of other threads. One of which only a part could be sent ends the connection."""
         deadline = time.monotonic() + seconds
         if not self._sending.acquire(timeout=seconds):
-            raise _silent(self.record, seconds)
+            raise silence(self.record, seconds)
         try:
             with self._changed:
                 if self._broken:
@@ -177,7 +179,7 @@ class Connection:
                 while left:
                     left = left[self._put(left, deadline) :]
             except TimeoutError:
-                raise _silent(self.record, seconds) from None
+                raise silence(self.record, seconds) from None
             finally:
                 if left:
                     self._give_up(slot, untouched=len(left) == len(data))
@@ -274,17 +276,11 @@ class Connection:
     # --- words ----------------------------------------------------------------------------------------
 
     def _why_broken(self) -> str:
-        """Why nothing more can be said and heard, as things are now."""
-        name, pid = self.record.name, self.record.pid
-        if self._closed:
-            return (
-                f"this connection to the array {name!r} was closed, wanted one that is open: raygrid.connect({name!r})"
-            )
-        if not self.record.alive:
-            return f"the array {name!r} (process {pid}) is gone"
-        if self._broken != "closed":
-            return f"the connection to the array {name!r} (process {pid}) is of no use: {self._broken}"
-        return f"the array {name!r} has closed the connection" + (f": {self._parting}" if self._parting else "")
+        return why_broken(self.record, self._closed, self._broken, self._parting)
+
+    def hand_over(self) -> tuple[socket.socket, Splitter[Message]]:
+        """The socket and what cuts its bytes into messages, for another owner; this connection is not to be used any more."""
+        return self._socket, self._splitter
 
     def close(self) -> None:
         """Close, whoever waits; jobs go on. May be called twice."""
@@ -331,13 +327,32 @@ def _reach(record: ServiceRecord, deadline: float, timeout: float) -> socket.soc
             why = error.strerror or str(error)
             raise ArrayError(f"the door of the array {record.name!r} (process {record.pid}) is shut ({why})") from None
         if time.monotonic() + wait > deadline:
-            raise _silent(record, timeout)
+            raise silence(record, timeout)
         time.sleep(wait)
         wait = min(2.0 * wait, LONGEST_WAIT)
 
 
-def _silent(record: ServiceRecord, seconds: float) -> ArrayError:
-    """Nothing is said of what to do about it: the reasons are many, and to end an array costs others their frames."""
+def why_broken(record: ServiceRecord, closed: bool, broken: str, parting: str) -> str:
+    """Why nothing more can be said and heard on a connection, as things are now.
+
+    closed   whether this side closed it
+    broken   what happened, "closed" if the other side closed it
+    parting  what the service said before that
+    """
+    name, pid = record.name, record.pid
+    if closed:
+        return f"this connection to the array {name!r} was closed, wanted one that is open: raygrid.connect({name!r})"
+    if not record.alive:
+        return f"the array {name!r} (process {pid}) is gone"
+    if broken != "closed":
+        return f"the connection to the array {name!r} (process {pid}) is of no use: {broken}"
+    return f"the array {name!r} has closed the connection" + (f": {parting}" if parting else "")
+
+
+def silence(record: ServiceRecord, seconds: float) -> ArrayError:
+    """The error for a service that does not answer.
+
+    Nothing is said of what to do about it: the reasons are many, and to end an array costs others their frames."""
     letter = process_state(record.pid)
     state = f", {STATES[letter]}" if letter in ("T", "t", "D") else ""
     return ArrayError(
@@ -353,7 +368,7 @@ def _poll(stream: socket.socket, event: int, seconds: float | None) -> bool:
     return bool(poller.poll(None if seconds is None else max(0.0, seconds) * 1000.0))
 
 
-def _packed(request: Message) -> bytes:
+def packed(request: Message) -> bytes:
     """A request as bytes. Raises ArrayError that names what cannot be sent; nothing was then."""
     wrong = unsendable(request)
     if wrong:

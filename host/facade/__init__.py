@@ -16,21 +16,30 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from raygrid.host.client.client import Result, Service, Submitted, connect
+    from raygrid import aio
+    from raygrid.host.client.client import Service, Submitted, connect
+    from raygrid.host.client.job_events import Result
     from raygrid.host.machine_time.predict import Prediction, predict
     from raygrid.host.render.api import Machine, Picture, launch, load_scene
+    from raygrid.host.render.progress import RenderProgress
+    from raygrid.host.render.renderer import Renderer
     from raygrid.host.scene.formats.memory_scene import MemoryScene as Scene
     from raygrid.host.scene.scene import Scene as LoadedScene
+    from raygrid.host.text.remarks import RemarkWarning
     from raygrid.node.errors import ArrayError, OutputError, RaygridError, SceneError
 
     __version__: str
 
 # public name -> module, and what it is called there
 _HOMES = {
-    **dict.fromkeys(("Result", "Service", "Submitted", "connect"), ("raygrid.host.client.client", "")),
+    **dict.fromkeys(("Service", "Submitted", "connect"), ("raygrid.host.client.client", "")),
     **dict.fromkeys(("Machine", "Picture", "launch", "load_scene"), ("raygrid.host.render.api", "")),
     **dict.fromkeys(("Prediction", "predict"), ("raygrid.host.machine_time.predict", "")),
     **dict.fromkeys(("ArrayError", "OutputError", "RaygridError", "SceneError"), ("raygrid.node.errors", "")),
+    "RemarkWarning": ("raygrid.host.text.remarks", ""),
+    "RenderProgress": ("raygrid.host.render.progress", ""),
+    "Renderer": ("raygrid.host.render.renderer", ""),
+    "Result": ("raygrid.host.client.job_events", ""),
     "Scene": ("raygrid.host.scene.formats.memory_scene", "MemoryScene"),
     "LoadedScene": ("raygrid.host.scene.scene", "Scene"),
 }
@@ -43,11 +52,15 @@ __all__ = [
     "Picture",
     "Prediction",
     "RaygridError",
+    "RemarkWarning",
+    "RenderProgress",
+    "Renderer",
     "Result",
     "Scene",
     "SceneError",
     "Service",
     "Submitted",
+    "aio",
     "connect",
     "launch",
     "load_scene",
@@ -60,6 +73,8 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("raygrid")
+    if name == "aio":
+        return import_module("raygrid.aio")
     if name in _HOMES:
         module, known = _HOMES[name]
         return getattr(import_module(module), known or name)

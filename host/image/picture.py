@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 MOST_AHEAD = 1 << 22  # pixels of a picture that is encoded in memory
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Picture:
     """A rendered frame.
 
@@ -92,6 +92,11 @@ class Picture:
             )
         values = self.bytes()
         return values if dtype is None else values.astype(dtype, copy=False)
+
+    def __repr__(self) -> str:
+        height, width, _ = self.sums.shape
+        of = f" of {self.stats['scene']}" if "scene" in self.stats else ""
+        return f"<raygrid.Picture{of}, {width}x{height}, {self.samples} {'sample' if self.samples == 1 else 'samples'} a pixel>"
 
     def _repr_png_(self) -> builtins.bytes:
         """The PNG that `save` writes: a notebook shows the picture."""

@@ -64,7 +64,8 @@ def _part(part: float) -> str:
 def rivals_figure(fits: Sequence[RivalFit]) -> Figure:
     """T by each law over T, against rays a processor; frames with few rays are hollow."""
     names = list(dict.fromkeys(fit.name for fit in fits)) or list(RIVALS)
-    figure, axes = new_figure(1, len(names), figsize=(4.2 * len(names), 4.2), sharex=True, sharey=True)
+    figure = new_figure(4.2 * len(names), 4.2)
+    axes = figure.subplots(1, len(names), squeeze=False, sharex=True, sharey=True)
     for axis, name in zip(axes.flat, names, strict=True):
         for fit in fits:
             if fit.name != name:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,22 +26,20 @@ FILES = ("busy.png", "links.png", "time.png")
 
 def check_matplotlib(*others: str) -> None:
     """Raise OutputError if matplotlib is not installed; others: libraries that are wanted as well."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError:
-        raise OutputError(f"plots need matplotlib: pip install {' '.join(('matplotlib', *others))}") from None
+    if find_spec("matplotlib") is None:
+        raise OutputError(f"plots need matplotlib: pip install {' '.join(('matplotlib', *others))}")
 
 
-def new_figure(rows: int, columns: int, **about: Any) -> tuple[Figure, NDArray[Any]]:
-    """A figure and its axes, (rows, columns), without pyplot: so whoever imports raygrid keeps the backend that they have.
+def new_figure(width: float, height: float) -> Figure:
+    """A figure of so many inches that is drawn into files alone.
 
-    about   figsize, sharex, sharey. Raises OutputError if matplotlib is not installed.
+    It is none of pyplot's, so that the backend of whoever plots in the same process, as notebooks do, stays as it is, and no
+    figure is kept after its last use. Raises OutputError.
     """
     check_matplotlib()
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=about.pop("figsize"), layout="constrained")
-    return figure, figure.subplots(rows, columns, squeeze=False, **about)
+    return Figure(figsize=(width, height), layout="constrained")
 
 
 def save_figure(figure: Figure, path: str | Path) -> None:
@@ -73,7 +72,8 @@ def _layers(values: NDArray[np.float64], shape: tuple[int, int, int], title: str
     down = math.ceil(shape[2] / across)
     size = 2.4 if shape[2] > 1 else 6.0
     wide, high = (max(size * side / max(shape[:2]), 0.8) for side in shape[:2])
-    figure, axes = new_figure(down, across, figsize=(wide * across + 1.8, high * down + 1.4))
+    figure = new_figure(wide * across + 1.8, high * down + 1.4)
+    axes = figure.subplots(down, across, squeeze=False)
     for z, axis in enumerate(axes.flat):
         if z >= shape[2]:
             axis.axis("off")
@@ -104,8 +104,8 @@ def _over_time(done: Simulated, what: str) -> Figure:
     phase = done.frames["middle"]
     bins = phase.ticks // phase.bin_ticks + 1
     seconds = np.arange(bins) * (phase.bin_ticks / done.cost.file.hertz)
-    figure, grid = new_figure(2, 1, figsize=(8, 6), sharex=True)
-    axes = grid[:, 0]
+    figure = new_figure(8, 6)
+    axes = figure.subplots(2, 1, sharex=True)
     axes[0].plot(seconds, phase.levels[WAITS, :bins], label="packets that wait", linewidth=0.8)
     axes[0].plot(seconds, phase.levels[LINKS, :bins], label="packets on links", linewidth=0.8)
     axes[0].legend(fontsize=8)

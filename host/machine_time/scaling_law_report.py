@@ -162,7 +162,8 @@ def _efficiency(point: Point, points: Sequence[Point]) -> str:
 
 def _figure(scene: str, fits: dict[str, Fit]) -> Figure:
     """T against n with the fit; its three terms; square against cubic and efficiency over processors."""
-    figure, axes = new_figure(2, 2, figsize=(11, 8))
+    figure = new_figure(11, 8)
+    axes = figure.subplots(2, 2)
     for kind, found in fits.items():
         ns = np.geomspace(1, max(p.n for p in found.points), 200)
         axis = axes[0, 0 if kind == "square" else 1]

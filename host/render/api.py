@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import math
 import threading
 from collections.abc import Callable, Iterable, Iterator
@@ -10,18 +11,20 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Unpack
 
-from raygrid.emulator.driver import BUDGET, PATIENCE, NodeSample
-from raygrid.emulator.processes import BATCH, Array
+from raygrid.emulator.driver import BUDGET, PATIENCE, NodeSample, Progress
+from raygrid.emulator.processes import BATCH, NOTE, Array, kind_of
 from raygrid.emulator.topology import parse_shape
 from raygrid.host.image.picture import Picture
 from raygrid.host.render.animation_jobs import jobs_of
 from raygrid.host.render.frame import Watch
 from raygrid.host.render.given_settings import GivenSettings, parted
-from raygrid.host.render.job import Settings, make_job
+from raygrid.host.render.job import Job, Settings, make_job, samples_expected
 from raygrid.host.render.program_file import read_program
-from raygrid.host.render.retry import ATTEMPTS
+from raygrid.host.render.progress import ProgressHook, RenderProgress, following, traced_part
+from raygrid.host.render.retry import ATTEMPTS, FaultReport
 from raygrid.host.render.session import RenderSession
 from raygrid.host.scene.load import load_scene
+from raygrid.host.text.remarks import remark
 from raygrid.node.errors import ArrayError
 from raygrid.node.links import parse_fault
 from raygrid.node.programs import Program
@@ -43,6 +46,7 @@ class Machine:
     def __init__(self, array: Array, allow_outside: bool = False) -> None:
         self._array, self._allow_outside = array, allow_outside
         self._in_use = threading.RLock()  # what is told of the work may use the array, in the same thread
+        self._told: set[str] = set()  # remarks on scenes: each is told once
 
     @contextlib.contextmanager
     def _use(self) -> Iterator[Array]:
@@ -56,6 +60,9 @@ class Machine:
             yield self._array
         finally:
             self._in_use.release()
+
+    def __repr__(self) -> str:
+        return f"<raygrid.Machine {'x'.join(map(str, self.shape))}>"
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -75,6 +82,7 @@ class Machine:
         watch: Watch | None = None,
         attempts: int = ATTEMPTS,
         program: str | Path | Program | None = None,
+        progress: ProgressHook | bool = True,
         **settings: Unpack[GivenSettings],
     ) -> Picture:
         """Render a scene: the path of a file, a raygrid.Scene, what load_scene gives, or an object of trimesh (docs/scenes.md).
@@ -86,12 +94,17 @@ class Machine:
         attempts  how often to try in all: when a node is lost or a link breaks, the array is reset and the frame
                   begins anew; what happened is in the picture's stats["faults"]
         program   path of a program for the nodes (docs/programs.md), on a machine launched with allow_programs
+        progress  True: a bar in a notebook; False: none; a function: called with a RenderProgress as the work goes on
+        What is to be said of scene and picture goes to the logger "raygrid" (`raygrid.host.text.remarks`).
         Raises SceneError for a scene or settings that cannot be rendered, ArrayError if the array fails.
         """
         with self._use() as array:
             frame, view = parted(settings)
             job = make_job(load_scene(scene, self._allow_outside, **view), self.shape, self._settings(frame, program))
-            return RenderSession(array, attempts).render(job, budget, watch)
+            with following(progress, job.scene.name) as hook:
+                picture = RenderSession(array, attempts, _tell_fault).render(job, budget, _watching(job, hook, watch))
+        self._tell_remarks(job, picture)
+        return picture
 
     def render_frames(
         self,
@@ -102,6 +115,7 @@ class Machine:
         watch: Watch | None = None,
         attempts: int = ATTEMPTS,
         program: str | Path | Program | None = None,
+        progress: ProgressHook | bool = True,
         **settings: Unpack[GivenSettings],
     ) -> Iterator[Picture]:
         """Render frames of a shot one after the other, from one to the next by increments; each has the bits that it
@@ -112,10 +126,21 @@ class Machine:
         """
         frame, view = parted(settings)
         read = load_scene(scene, self._allow_outside, **view)
-        for job in jobs_of(read, self.shape, self._settings(frame, program), frames):
-            with self._use() as array:  # not while the caller has the picture
-                picture = RenderSession(array, attempts).render(job, budget, watch)
-            yield picture
+        with following(progress, read.name) as hook:
+            for job in jobs_of(read, self.shape, self._settings(frame, program), frames):
+                with self._use() as array:  # not while the caller has the picture
+                    session = RenderSession(array, attempts, _tell_fault)
+                    picture = session.render(job, budget, _watching(job, hook, watch))
+                self._tell_remarks(job, picture)
+                yield picture
+
+    def _tell_remarks(self, job: Job, picture: Picture) -> None:
+        for text in job.scene.remarks:
+            if text not in self._told:
+                self._told.add(text)
+                remark(f"{job.scene.name}: {text}")
+        if (blank := picture.blank()) is not None:
+            remark(f"{job.scene.name}: {blank}", logging.WARNING)
 
     def _settings(self, given: dict[str, Any], program: str | Path | Program | None) -> Settings:
         if program is not None and not self._array.programs:
@@ -163,6 +188,41 @@ class Machine:
             self._array.__exit__(kind, error, trace)
 
 
+def _watching(job: Job, hook: ProgressHook | None, watch: Watch | None) -> Watch | None:
+    """Tells both how far the render of a job is; None if nobody is to be told."""
+    if hook is None:
+        return watch
+    expected = samples_expected(job)
+
+    def tell(phase: str, now: Progress | None) -> None:
+        if watch is not None:
+            watch(phase, now)
+        if now is None:
+            hook(RenderProgress(phase, 1.0 if phase == "collect" else 0.0, 0, job.number))
+        else:
+            hook(RenderProgress(phase, traced_part(now, expected), now.in_flight, job.number))
+
+    return tell
+
+
+def _tell_fault(fault: FaultReport) -> None:
+    remark(f"{fault.what}; the array was reset in {fault.seconds[1]:.2f} s, and the frame begins anew", logging.WARNING)
+
+
+def _warming() -> Callable[[int, int, str], None]:
+    """Tells of a first run, which compiles the kernels."""
+    told: set[str] = set()
+
+    def tell(_done: int, _total: int, what: str) -> None:
+        if what.startswith(NOTE):
+            remark(what.removeprefix(NOTE))
+        elif (kind := kind_of(what)) is not None and kind not in told:
+            told.add(kind)
+            remark(f"compiling the kernels of {kind}, once on this computer: a minute", logging.WARNING)
+
+    return tell
+
+
 def _give_up() -> None:
     raise ArrayError("the array was closed by another thread while it was in use")
 
@@ -192,5 +252,6 @@ def launch(
         raise ValueError(f"a patience came as {patience}, wanted seconds above 0")
     cells = parse_shape(shape if isinstance(shape, str) else "x".join(map(str, shape)))
     plan = None if fault is None else parse_fault(fault)
-    array = Array.launch(cells, batch=batch, patience=patience, fault=plan, programs=allow_programs)
+    options = {"batch": batch, "patience": patience, "fault": plan, "programs": allow_programs}
+    array = Array.launch(cells, on_warming=_warming(), **options)
     return Machine(array, allow_outside)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from raygrid.host.render.progress import traced_part
 from raygrid.host.service import events, scribe_calls
 from raygrid.host.service.array_supervisor import ArraySupervisor, NoArray
 from raygrid.host.service.scribe import Scribe, ScribeLost
@@ -227,9 +228,7 @@ class Worker(threading.Thread):
             if now is None:
                 self._tell(task, phase, 1.0 if phase == "collect" else 0.0, 0)
             elif time.monotonic() - self._told > TELL_SECONDS:
-                born, died = sum(now.born), sum(now.died)
-                part = min(1.0, now.primaries / expected) * died / max(born, 1)
-                self._tell(task, phase, part, now.in_flight)
+                self._tell(task, phase, traced_part(now, expected), now.in_flight)
 
         return watch
 

@@ -75,7 +75,7 @@ def of_help() -> list[Line]:
 def small(words: list[str]) -> list[str]:
     """The same command with few pixels, frames and processors."""
     command, words = words[0], list(words)
-    drawing = command in ("render", "submit", "simulate", "trace", "jam")
+    drawing = command in ("render", "submit", "simulate", "trace", "jam", "demo")
     least = {"--array": "2x1x1", "--samples": "1", "--square": "1,2,3", "--cubic": "1,2,3", "--turntable": "2"}
     least |= {"--turntable-scene": "2", "--size": "16x16"}
     for k, word in enumerate(words[:-1]):

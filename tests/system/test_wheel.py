@@ -91,6 +91,7 @@ def test_the_wheel_has_what_the_sources_have_and_nothing_else(wheel):
     unmarked = {"raygrid/node/py.typed", "raygrid/emulator/py.typed"}  # that of raygrid holds for all below it
     assert wanted - ours <= unmarked
     assert ours <= wanted
+    assert {"raygrid/aio.py", "raygrid/host/scene/demo.toml"} <= ours
     assert {"raygrid/py.typed", "raygrid/emulator/costs/8086.toml", "raygrid/node/tracing/__init__.pyi"} <= ours
     assert {name.partition("/")[0].partition("-")[0] for name in names} == {"raygrid"}
 
@@ -121,6 +122,8 @@ def test_everything_works_from_there(installed, surroundings, tmp_path):
     small = ["--size", "24x16", "--samples", "1"]
     call(str(installed / "python"), "-c", WARM, env=surroundings, cwd=tmp_path)
     raygrid("render", "tiny.nff", "--array", "2x1x1", *small, "-o", "render.png", "-q")
+    raygrid("demo", "--array", "2x1x1", *small, "-q")
+    assert Image.open(tmp_path / "demo.png").size == (24, 16)
     told = raygrid("simulate", "tiny.nff", "--array", "2x1x1", "--cost", "8086", *small)
     assert "ticks" in told or "seconds" in told
     raygrid("up", "--array", "2x1x1", "--name", "wheel")

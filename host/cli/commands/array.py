@@ -170,33 +170,37 @@ def _moment(seconds: float | None) -> str:
     return time.strftime("%H:%M:%S" if today else "%Y-%m-%d %H:%M", then)
 
 
-def run_cancel(name: str, jobs: list[int] | None) -> None:
+def run_cancel(name: str, jobs: list[int] | None, as_json: bool = False) -> None:
     """Cancel jobs and print their numbers. Raises ArrayError if none of those named could be cancelled any more."""
     with connect(name) as array:
         cancelled = array.cancel(jobs)
-    for job in cancelled:
-        write_result(str(job))
+    for line in [json.dumps({"cancelled": cancelled})] if as_json else map(str, cancelled):
+        write_result(line)
     if jobs and not cancelled:
         raise ArrayError(f"{'job' if len(jobs) == 1 else 'jobs'} {', '.join(map(str, jobs))} had ended already")
 
 
-def run_reset(name: str) -> None:
+def run_reset(name: str, as_json: bool = False) -> None:
     """Reset an array. Raises ArrayError."""
     with connect(name) as array:
-        array.reset()
-    write_result(f"{name}: reset")
+        nodes = array.reset()
+    write_result(json.dumps({"name": name, "nodes": nodes}) if as_json else f"{name}: reset")
 
 
-def run_down(name: str, finish: bool, cancel: bool, kill: bool) -> None:
+def run_down(name: str, finish: bool, cancel: bool, kill: bool, as_json: bool = False) -> None:
     """End an array and wait until it has ended. Raises ArrayError."""
     if kill:
         _kill(find(name))
-        write_result(f"{name}: killed")
+        facts = {"name": name, "killed": True, "unfinished": None}
+        write_result(json.dumps(facts) if as_json else f"{name}: killed")
         return
     connection = Connection(find(name))
     with contextlib.closing(connection):
         answer = connection.ask({"do": "down", "finish": finish, "cancel": cancel})
     wait_gone(connection.record)
+    if as_json:
+        write_result(json.dumps({"name": name, "killed": False, "unfinished": answer["unfinished"]}))
+        return
     left = (
         "" if finish or not answer["unfinished"] else f", {count_of(answer['unfinished'], 'job')} left in its journal"
     )

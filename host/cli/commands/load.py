@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 
 from raygrid.emulator.processes import Array
@@ -11,7 +12,7 @@ from raygrid.host.scene.load import check_allowed
 from raygrid.node.errors import ArrayError
 
 
-def run_load(path: str, shape: tuple[int, int, int], allowed: bool, quiet: bool) -> None:
+def run_load(path: str, shape: tuple[int, int, int], allowed: bool, quiet: bool, as_json: bool = False) -> None:
     """Launch an array, load a program, and say what the nodes run. Raises RaygridError."""
     check_allowed(path, allowed)
     with ProgressReporter(quiet) as reporter, Array(shape, on_warming=reporter.warming, programs=allowed) as array:
@@ -29,6 +30,11 @@ def run_load(path: str, shape: tuple[int, int, int], allowed: bool, quiet: bool)
         reporter.phase("ending the processors")
     if set(running) != {program.digest}:
         raise ArrayError(f"{path}: {running.count(program.digest)} of {len(running)} nodes run the program, wanted all")
+    if as_json:
+        hooks = sorted(program.hooks)
+        facts = {"program": program.name, "hooks": hooks, "digest": program.digest, "nodes": len(running)}
+        write_result(json.dumps(facts | {"wall_seconds": round(seconds, 3)}, indent=2))
+        return
     functions = ", ".join(sorted(program.hooks))
     write_result(
         f"{len(running)} nodes run {program.name} ({functions}), digest {program.digest[:16]}, "

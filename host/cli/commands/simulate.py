@@ -20,6 +20,7 @@ from raygrid.host.image.outputs import (
     write_lines,
 )
 from raygrid.host.render.given_settings import GivenSettings, parted
+from raygrid.host.render.stats import save_stats
 from raygrid.host.scene.load import check_name
 from raygrid.host.scene.view import view_of
 
@@ -42,6 +43,7 @@ class SimulateRequest:
     band      low and high costs, too
     outputs, stats, table, plots   paths to write, plots being a folder
     frame     of a shot, None for its first
+    as_json   what came out as JSON, instead of the summary
     settings  of the frame and of the view
     """
 
@@ -57,6 +59,7 @@ class SimulateRequest:
     transfer: str
     quiet: bool
     frame: int | None
+    as_json: bool
     settings: GivenSettings
 
 
@@ -68,6 +71,9 @@ def run_simulate(request: SimulateRequest) -> None:
     with ProgressReporter(request.quiet) as reporter:
         done = _simulate(request, reporter)
         stats = _write(request, done, reporter)
+        if request.as_json:
+            save_stats(STANDARD, {"nodes": [], **stats})
+            return
         lines = summary(done, stats)
         if STANDARD in _written(request):  # where the summary would be in the way
             reporter.table(lines)
@@ -151,7 +157,6 @@ def _written(request: SimulateRequest) -> list[str]:
 def _write(request: SimulateRequest, done: Simulated, reporter: ProgressReporter) -> Stats:
     from raygrid.host.image.picture import Picture
     from raygrid.host.machine_time.simulate_stats import make_stats, save_csv
-    from raygrid.host.render.stats import save_stats
 
     stats = make_stats(done)
     picture = Picture(done.sums, done.job.frame.samples, stats)

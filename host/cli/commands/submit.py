@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from raygrid.host.cli.progress import PHASES, ProgressReporter
-from raygrid.host.client.connection import Connection, EventListener
+from raygrid.host.client.connection import NO_JOB, Connection, EventListener
 from raygrid.host.client.facts import ENDED
 from raygrid.host.client.service_files import find
 from raygrid.host.client.submission import Submission, absolute
@@ -25,7 +25,6 @@ from raygrid.node.errors import ArrayError, SceneError
 
 WORDS = PHASES | {"read": "reading", "load": "loading", "write": "writing"}  # surfaces, and a program if there is one
 CANCEL_SECONDS = 5.0
-NO_JOB = 0  # its number is in the answer
 
 Facts = dict[str, Any]
 

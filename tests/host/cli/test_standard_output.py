@@ -42,6 +42,16 @@ def test_statistics_go_down_a_pipe_alone(tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
 
 
+def test_simulate_tells_what_came_out_as_json(tmp_path):
+    outcome = here(
+        "simulate", TINY, *SMALL, "--cost", "unit", "--no-band", "--json", "--stats", str(tmp_path / "a.json")
+    )
+    assert outcome.code == 0
+    told, written = json.loads(outcome.out), json.loads((tmp_path / "a.json").read_text())
+    assert told["ticks"] == written["ticks"] > 0
+    assert set(told) == set(written)
+
+
 def test_simulate_writes_its_statistics_to_a_pipe_and_its_summary_beside(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     outcome = here("simulate", TINY, *SMALL, "--cost", "unit", "--no-band", "--stats", "-")

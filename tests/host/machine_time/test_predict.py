@@ -143,7 +143,7 @@ def test_bad_requests_are_one_line():
 def test_plots_and_predictions_leave_the_backend_alone():
     code = (
         "import matplotlib; matplotlib.use('svg'); from raygrid.host.machine_time.plots import new_figure;"
-        "new_figure(1, 1, figsize=(2, 2)); print(matplotlib.get_backend())"
+        "new_figure(2, 2); print(matplotlib.get_backend())"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
     assert done.stdout.strip() == "svg"

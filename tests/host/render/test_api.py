@@ -2,12 +2,14 @@
 
 import importlib.metadata
 import itertools
+import logging
 import math
 import os
 import re
 import subprocess
 import sys
 import threading
+import warnings
 
 import numpy as np
 import psutil
@@ -137,6 +139,39 @@ def test_a_camera_inside_a_wall_is_told(machine):
     assert "the picture is all black: no light reaches what the camera sees; is it behind a wall" in inside.blank()
     with pytest.raises(raygrid.SceneError, match=r"the camera looks from \(0, 1, 0\) at that same point"):
         machine.render(scene, eye=(0, 1, 0), at=(0, 1, 0))
+
+
+def test_a_caller_is_told_how_far_a_render_is(machine):
+    told, watched = [], []
+    picture = machine.render(TINY, size=SIZE, progress=told.append, watch=lambda phase, _: watched.append(phase))
+    assert np.array_equal(picture.sums, alone(TINY, size=SIZE).sums)
+    assert [now.phase for now in told] == watched
+    assert (watched[0], watched[-1]) == ("load", "collect")
+    parts = [now.part for now in told if now.phase == "trace"]
+    assert parts == sorted(parts)
+    assert 0.0 <= parts[0] <= parts[-1] <= 1.0
+    told.clear()
+    list(machine.render_frames(str(SCENES / "mobile.toml"), [2, 3], size=SIZE, progress=told.append))
+    assert {now.frame for now in told} == {2, 3}
+
+
+def test_remarks_are_told_once_and_a_black_picture_each_time(machine, caplog):
+    scene = raygrid.Scene()
+    scene.sphere((0, 0, 0), 1)
+    scene.camera((0, 0, 5), (0, 0, 9))
+    with caplog.at_level(logging.INFO, "raygrid"):
+        for _ in range(2):
+            machine.render(scene, size=SIZE)
+    said = [(record.levelname, record.getMessage()) for record in caplog.records]
+    assert said == [
+        ("INFO", "raygrid.Scene: no light in the file: a key and a fill light invented"),
+        *[("WARNING", "raygrid.Scene: no ray of the camera meets a surface: the picture shows the background only")]
+        * 2,
+    ]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", raygrid.RemarkWarning)
+        with pytest.raises(raygrid.RemarkWarning, match="the picture shows the background only"):
+            machine.render(scene, size=SIZE)
 
 
 def test_what_is_no_scene_is_refused_in_one_sentence(machine):

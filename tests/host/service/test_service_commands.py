@@ -242,3 +242,26 @@ def test_probe_and_status_tell_the_same_figure_of_memory_by_the_same_name(name, 
     for node in array.status()["nodes"]:
         assert seen[tuple(node["node"])] == pytest.approx(node["pss"], rel=0.2)
     assert "memory (PSS)" in on(name, "probe", "--for", "0.5").out
+
+
+# ---- facts for programs ----
+
+
+def test_what_was_done_is_told_as_json(name, tmp_path):
+    with raygrid.connect(name) as array:
+        job = array.submit(TINY, output=tmp_path / "a.npy", **LONG).job
+    assert json.loads(on(name, "cancel", str(job), "--json").out) == {"cancelled": [job]}
+    told = json.loads(on(name, "reset", "--json").out)
+    with raygrid.connect(name) as array:
+        assert told == {"name": name, "nodes": [node["pid"] for node in array.status()["nodes"]]}
+    try:
+        assert json.loads(on(name, "down", "--json").out) == {"name": name, "killed": False, "unfinished": 0}
+        up(name)
+        assert json.loads(on(name, "down", "--kill", "--json").out) == {
+            "name": name,
+            "killed": True,
+            "unfinished": None,
+        }
+    finally:
+        end(name)
+        up(name)

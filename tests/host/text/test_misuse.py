@@ -41,7 +41,7 @@ BAD: list[tuple[type[click.ParamType], list[str]]] = [
 ]
 # What a command needs besides the option under test.
 NEEDED = {"trace": ["--pixel", "1,1"], "cancel": ["1"], "wait": ["1"], "load": [TORUS, "--allow-programs"]}
-NO_SCENE = ("load", "up", "wait", "jobs", "cancel", "status", "reset", "down", "probe", "list", "doctor")
+NO_SCENE = ("load", "up", "wait", "jobs", "cancel", "status", "reset", "down", "probe", "list", "doctor", "demo")
 
 
 def arguments(name: str) -> list[str]:
@@ -118,6 +118,10 @@ TOGETHER = [  # command, arguments after it, what is said of them
     ("render", [TINY, "--cost", "8086"], "--cost and --search came without --timed"),
     ("render", [TINY, "--timed", "--cost", "z80"], "a cost model came as 'z80', wanted one of .*"),
     ("probe", ["--replay", "x", "--name", "y"], "--replay came with --name or --prometheus, .*"),
+    ("schema", ["obj"], "kind: 'obj' is not one of .*"),
+    ("completion", [], "Missing argument 'SHELL'.*"),
+    ("completion", ["csh"], "shell: 'csh' is not one of .*"),
+    ("simulate", [TINY, "--json", "--stats", "-"], "--json came with -, wanted one of them on standard output"),
     ("cancel", [], "wanted either numbers of jobs or --all"),
     ("cancel", ["1", "--all"], "wanted either numbers of jobs or --all"),
     ("down", ["--kill", "--finish"], "--kill came with --finish or --cancel, wanted it alone"),

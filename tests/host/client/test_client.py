@@ -1,0 +1,100 @@
+"""Pictures come back from an array that stays, by the calls of one that was launched, with the same bits."""
+
+import threading
+
+import numpy as np
+import pytest
+import trimesh
+from support.cli import warm_kernels
+from support.render import SCENES, rendered
+from support.service import SIZE, array, name, sums
+
+import raygrid
+from raygrid.host.scene.load import load_scene
+
+__all__ = ["array", "name", "warm_kernels"]
+
+TINY, MOBILE, CHECKER = (str(SCENES / name) for name in ("tiny.nff", "mobile.toml", "checker.obj"))
+
+
+@pytest.fixture(autouse=True)
+def no_folder_is_left(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    yield
+    assert list(tmp_path.iterdir()) == []
+
+
+def average(renderer: raygrid.Renderer, scene) -> float:
+    """Works with whatever renders."""
+    return float(renderer.render(scene, size=(16, 12), progress=False).linear().mean())
+
+
+def test_a_launched_and_a_connected_array_are_called_alike(array):
+    assert isinstance(array, raygrid.Renderer)
+    with raygrid.launch("2x1x1") as launched:
+        assert isinstance(launched, raygrid.Renderer)
+        assert average(launched, TINY) == average(array, TINY)
+    assert repr(launched) == "<raygrid.Machine 2x1x1>"
+    assert repr(array) == f"<raygrid.Service {array.name!r} 2x1x1, process {array.pid}>"
+
+
+def test_a_picture_comes_back_with_its_statistics_and_is_told_of(array):
+    told = []
+    picture = array.render(TINY, size=SIZE, progress=told.append)
+    assert np.array_equal(picture.sums, sums(TINY))
+    assert (picture.samples, picture.stats["size"], picture.stats["array"]) == (1, list(SIZE), [2, 1, 1])
+    assert picture.stats["total"]["born"]["pixel"] > 0
+    assert [now.phase for now in told if now.phase in ("collect", "write")] == ["collect", "write"]
+
+
+def test_scenes_of_memory_have_the_same_bits(array):
+    scene = raygrid.Scene(background=(0.2, 0.3, 0.4), samples=2)
+    scene.sphere((0, 0, 0), 1, material=scene.material("red", colour=(1, 0, 0)))
+    scene.mesh(np.array([(-2.0, -1.0, -2.0), (2.0, -1.0, -2.0), (0.0, -1.0, 3.0)]), [(0, 2, 1)])
+    assert np.array_equal(array.render(scene, size=SIZE).sums, rendered(load_scene(scene), (2, 1, 1), size=SIZE).sums)
+    mesh = trimesh.creation.icosphere(1)
+    picture = array.render(mesh, size=SIZE, fit="iso")
+    assert picture.blank() is None
+
+
+def test_frames_come_one_after_the_other(array):
+    frames = list(array.render_frames(MOBILE, [2, 3, 7], size=SIZE))
+    assert [frame.stats["frame"] for frame in frames] == [2, 3, 7]
+    with raygrid.launch("2x1x1") as launched:
+        own = list(launched.render_frames(MOBILE, [2, 3, 7], size=SIZE))
+    assert all(np.array_equal(one.sums, other.sums) for one, other in zip(frames, own, strict=True))
+
+
+def test_frames_that_nobody_takes_are_cancelled(array):
+    frames = array.render_frames(MOBILE, size=SIZE)
+    next(frames)
+    frames.close()
+    last = array.jobs()[-1]
+    assert (last["state"], last["frames"]) == ("cancelled", 48)
+
+
+def test_what_goes_wrong_is_one_sentence(array):
+    with pytest.raises(raygrid.ArrayError, match=r"^job \d+ failed: .*nope\.nff: there is no such file"):
+        array.render(SCENES / "nope.nff")
+    with pytest.raises(raygrid.ArrayError, match=r"^depth came as 99, wanted a whole number from 1 to 31"):
+        array.render(TINY, depth=99)
+    with pytest.raises(TypeError, match=r"^the settings \['speed'\] came, wanted some of size, samples, "):
+        array.render(TINY, speed=9)
+
+
+def test_a_job_that_is_cancelled_by_another_is_an_error(array):
+    caught = []
+
+    def render():
+        with pytest.raises(raygrid.ArrayError) as error:
+            array.render(TINY, size=(2000, 2000), samples=64, progress=lambda _: begun.set())
+        caught.append(str(error.value))
+
+    begun = threading.Event()
+    thread = threading.Thread(target=render)
+    thread.start()
+    assert begun.wait(60)
+    array.cancel(None)
+    thread.join(60)
+    assert len(caught) == 1
+    assert caught[0].endswith("was cancelled")
