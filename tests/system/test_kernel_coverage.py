@@ -40,7 +40,6 @@ def test_kernels_are_told_by_decorators_and_by_what_formulas_are_given():
         "written_once.inner": False,
         "staged": True,
         "plain": False,
-        "Holder.method": False,
     }
 
 
