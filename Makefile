@@ -94,9 +94,6 @@ check-interpreted: ## tests without a compiler, and how much of the kernels they
 	PYTHONWARNINGS=ignore build/interpreted/bin/python -m pip install --quiet --upgrade pip
 	PYTHONWARNINGS=ignore build/interpreted/bin/python -m pip install --quiet 'coverage>=7.6' --editable '.[test]'
 	build/interpreted/bin/python benchmarks/kernel_coverage.py --least 95
-	NUMBA_DISABLE_JIT=1 $(PYTEST) -m "not slow" tests/node/protocol tests/node/jit/test_intrinsics.py \
-	    tests/node/jit/test_records.py tests/node/jit/test_switches.py tests/node/links/test_link.py \
-	    tests/node/links/test_link_flow.py tests/node/links/test_control_channel.py
 
 wheel-check: $(STAMP) ## build the wheel, install it into an empty environment, and use it there
 	$(BIN)/python -m pytest tests/system/test_wheel.py

@@ -28,9 +28,9 @@ LAYERS = ("node", "emulator")
 TESTS = (
     "tests/node/tracing",
     "tests/node/geometry",
-    "tests/node/protocol/test_packets.py",
-    "tests/node/jit/test_formula.py",
-    "tests/node/timed",
+    "tests/node/protocol",
+    *(f"tests/node/jit/test_{name}.py" for name in ("formula", "intrinsics", "records", "switches")),
+    *(f"tests/node/links/test_{name}.py" for name in ("link", "link_flow", "control_channel")),
     "--ignore=tests/node/tracing/test_step.py",  # whole pictures on many shapes: an hour without a compiler
 )
 
