@@ -19,7 +19,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from functools import wraps
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 from numba.core import types
 from numba.extending import lower_builtin, type_callable
@@ -28,10 +28,10 @@ from raygrid.node.jit.lanes import EIGHT, Declared, Lanes, Memory
 from raygrid.node.jit.lanes_numpy import interpret
 from raygrid.node.jit.switches import SIMD, why_off
 
-F = TypeVar("F", bound=Callable[..., Any])
+Function = Callable[..., Any]
 
 
-def formula(takes: tuple[Declared, ...], gives: Declared) -> Callable[[F], Callable[..., Any]]:
+def formula(takes: tuple[Declared, ...], gives: Declared) -> Callable[[Function], Function]:
     """Make a function of a formula.
 
     takes, gives  a kind of `node.jit.lanes`, ARRAY, a tuple of these or a named tuple of these; gives None for nothing
@@ -39,9 +39,7 @@ def formula(takes: tuple[Declared, ...], gives: Declared) -> Callable[[F], Calla
     return _maker(takes, gives, wide=False, carries=False)
 
 
-def eight(
-    takes: tuple[Declared, ...], gives: Declared = None, carries: bool = False
-) -> Callable[[F], Callable[..., Any]]:
+def eight(takes: tuple[Declared, ...], gives: Declared = None, carries: bool = False) -> Callable[[Function], Function]:
     """Make a function of what is done to eight at once.
 
     carries  the last argument is what the lanes before gave, as a count that each lane adds to
@@ -58,8 +56,8 @@ def _is_staged(argument: Any) -> bool:
 
 def _maker(
     takes: tuple[Declared, ...], gives: Declared, *, wide: bool, carries: bool
-) -> Callable[[F], Callable[..., Any]]:
-    def make(staged: F) -> Callable[..., Any]:
+) -> Callable[[Function], Function]:
+    def make(staged: Function) -> Function:
         @wraps(staged)
         def run(*arguments: Any) -> Any:
             if any(map(_is_staged, arguments)):
@@ -73,8 +71,8 @@ def _maker(
 
 
 def _teach_numba(
-    run: Callable[..., Any],
-    staged: Callable[..., Any],
+    run: Function,
+    staged: Function,
     takes: tuple[Declared, ...],
     gives: Declared,
     wide: bool,
@@ -82,7 +80,7 @@ def _teach_numba(
 ) -> None:
     """Tell numba the types of a formula, and the code of a call. What that needs is imported by the first kernel that calls it."""
 
-    def typing(context: Any) -> Callable[..., Any]:
+    def typing(context: Any) -> Function:
         def typer(*arguments: Any) -> Any:
             from numba.core.typing.templates import signature
 

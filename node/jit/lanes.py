@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from copy import copy
 from typing import Any, TypeAlias
 
 F64, F32, I64, I32, U8, BIT = "float64", "float32", "int64", "int32", "uint8", "bool"
@@ -191,12 +190,6 @@ class Columns:
 
     def __init__(self, memory: Memory, at: Lanes, length: int) -> None:
         self._memory, self._at, self._length = memory, at, length
-
-    def at(self, at: Lanes) -> Columns:
-        """This table from another column on."""
-        other = copy(self)
-        other._at = at
-        return other
 
     def read(self, row: int) -> Lanes:
         """The numbers of a row."""

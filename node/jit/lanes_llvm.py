@@ -115,8 +115,8 @@ class LlvmLanes(Lanes):
 
     def choose(self, yes: Number, no: Number) -> Lanes:
         whole = LlvmLanes(self.builder, ir.Constant(_TYPES[I64], 0), I64)
-        kind = next((one for one in (yes, no) if isinstance(one, LlvmLanes)), whole)
-        a, b = (one if isinstance(one, LlvmLanes) else kind.every(one) for one in (yes, no))  # type: ignore[arg-type]
+        alike = next((one for one in (yes, no) if isinstance(one, LlvmLanes)), whole)
+        a, b = (one if isinstance(one, LlvmLanes) else alike.every(one) for one in (yes, no))  # type: ignore[arg-type]
         truths = self
         if any(one.is_wide for one in (truths, a, b)):
             truths, a, b = truths.splat(), a.splat(), b.splat()
@@ -173,6 +173,8 @@ class LlvmMemory(Memory):
 
     def write(self, place: Lanes | int, lanes: Lanes) -> None:
         assert isinstance(lanes, LlvmLanes)
+        if lanes.kind != self._kind:  # a pointer has no type, so LLVM would not say it
+            raise TypeError(f"{lanes.kind} is written to an array of {self._kind}")
         if self._lane is None:
             value, pointer = lanes.splat().value, self._pointer(place, many=EIGHT)
         else:

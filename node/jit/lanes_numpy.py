@@ -78,8 +78,8 @@ class NumpyLanes(Lanes):
         return self._of(np.negative(self.value))
 
     def choose(self, yes: Number, no: Number) -> Lanes:
-        kind = next((one for one in (yes, no) if isinstance(one, NumpyLanes)), NumpyLanes(0, I64))
-        return kind._of(np.where(self.value, kind._same(yes), kind._same(no)))
+        alike = next((one for one in (yes, no) if isinstance(one, NumpyLanes)), NumpyLanes(0, I64))
+        return alike._of(np.where(self.value, alike._same(yes), alike._same(no)))
 
     def lacks(self, other: Lanes) -> Lanes:
         return self._of(self.value & ~self._same(other))
@@ -123,7 +123,9 @@ class NumpyMemory(Memory):
     def write(self, place: Lanes | int, lanes: Lanes) -> None:
         at = self._checked(place, self._lanes)
         assert isinstance(lanes, NumpyLanes)
-        self._array[at : at + self._lanes] = NumpyLanes(lanes.value, str(self._array.dtype)).value
+        if lanes.kind != str(self._array.dtype):
+            raise TypeError(f"{lanes.kind} is written to an array of {self._array.dtype}")
+        self._array[at : at + self._lanes] = lanes.value
 
     def append(self, place: Lanes, lanes: Lanes, chosen: Lanes) -> Lanes:
         assert isinstance(lanes, NumpyLanes) and isinstance(chosen, NumpyLanes)
@@ -147,10 +149,7 @@ def interpret(
     def given(declared: Declared, value: Any) -> Any:
         if isinstance(declared, FlatArray):
             return NumpyMemory(value, lanes)
-        whole = np.asarray(value).dtype.kind not in "fiub" or (
-            declared not in FLOATS and np.asarray(value).dtype.kind == "f"
-        )
-        if whole:
+        if np.asarray(value).dtype.kind not in ("fiub" if declared in FLOATS else "iub"):
             raise TypeError(f"came {value!r}, wanted {declared}")
         return NumpyLanes(value, declared)
 

@@ -18,9 +18,24 @@ from raygrid.node.geometry.bvh_boxes import FAREST, WIDE, copy_keys, for_boxes, 
 from raygrid.node.geometry.grid_walk import inverse, is_before_start, passage
 from raygrid.node.geometry.lattice import CELL, T_MIN, coordinate
 from raygrid.node.jit.decorators import part
-from raygrid.node.jit.formula import eight
+from raygrid.node.jit.formula import eight, formula
 from raygrid.node.jit.intrinsics import copy_bytes
-from raygrid.node.jit.lanes import ARRAY, EIGHT, F32, I32, I64, VECTOR, Columns, Lanes, Staged, Three, least, most
+from raygrid.node.jit.lanes import (
+    ARRAY,
+    EIGHT,
+    F32,
+    F64,
+    I32,
+    I64,
+    LATTICE_POINT,
+    VECTOR,
+    Columns,
+    Lanes,
+    Staged,
+    Three,
+    least,
+    most,
+)
 from raygrid.node.protocol.frame_tables import LIGHT_KIND, LIGHT_PLACE
 from raygrid.node.protocol.packets import SIZE, read_u64
 from raygrid.node.protocol.packing import unit_vector
@@ -109,6 +124,20 @@ def _set_up_shadows(setup: Staged, at: Lanes, cell: Staged, step: Three) -> None
     _write(setup, at, cell, origin, places, direction, distance)
 
 
+@formula(takes=(CELL, LATTICE_POINT, VECTOR, VECTOR, I64), gives=(I64, VECTOR, F64, F64))
+def way_through(
+    cell: Staged, origin: Three, places: Three, direction: Three, port: Lanes
+) -> tuple[Lanes, list[Lanes], Lanes, Lanes]:
+    """(way, inverse direction, t_in, t_out) of a ray that came by `port`.
+
+    origin  on the lattice; places  the same as numbers
+    way     the exit port; NOT_AT_START for a ray that has to go to the cell of its origin first
+    """
+    inv = [inverse(d) for d in direction]
+    t_in, t_out, way = passage(cell, places, inv)
+    return is_before_start(cell, origin, port).choose(NOT_AT_START, way), inv, t_in, t_out
+
+
 def _write(
     setup: Staged,
     at: Lanes,
@@ -120,8 +149,8 @@ def _write(
 ) -> None:
     """Write all that is known of rays from these origins, on the lattice and as numbers, in these directions."""
     known, singles, nears = (Columns(of, at, SETUP_RAYS) for of in (setup.known, setup.singles, setup.nears))
-    inv = [inverse(d) for d in direction]
-    t_in, t_out, way = passage(cell, places, inv)
+    port = setup.ports.read(at).to(I32)
+    way, inv, t_in, t_out = way_through(cell, origin, places, direction, port)
     ray, begins = for_boxes(places, inv)
     for axis in range(3):
         known.write(ORIGIN_COLUMN + axis, places[axis])
@@ -135,8 +164,7 @@ def _write(
     upper = t_out if distance is None else least(t_out, distance)
     singles.write(BOX_LOW, most(t_in, t_in.every(T_MIN)).to(F32))
     singles.write(BOX_HIGH, least(upper, upper.every(FAREST)).to(F32))
-    port = setup.ports.read(at).to(I32)
-    Columns(setup.ways, at, SETUP_RAYS).write(0, is_before_start(cell, origin, port).choose(NOT_AT_START, way))
+    setup.ways.write(at, way)
 
 
 @part
@@ -168,7 +196,7 @@ def set_up_rays(cell, space, many, shadows, setup):
 
 @part
 def column(setup, j):
-    """A ray that was set up: (way, origin, direction, inverse direction, t_in, t_out, distance), as `step._set_up`."""
+    """A ray that was set up: (way, origin, direction, inverse direction, t_in, t_out, distance)."""
     known = setup.known
     return (
         setup.ways[j],

@@ -11,12 +11,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from raygrid.node.geometry.grid_walk import inverse, is_before_start, passage
 from raygrid.node.geometry.lattice import T_MIN
 from raygrid.node.jit.decorators import part
 from raygrid.node.protocol.packets import SHADOW, read_origin, read_u16, read_u24
 from raygrid.node.protocol.packing import unit_vector
-from raygrid.node.tracing.ray_setup import NOT_AT_START
+from raygrid.node.tracing.ray_setup import way_through
 from raygrid.node.tracing.shading import light_direction, place
 from raygrid.node.tracing.traverse import open_root
 
@@ -33,10 +32,7 @@ def set_up_ray(cell, space, frame, packets, at, port, kind):
         d, distance = light_direction(frame.lights, read_u16(packets, at + 14), o)
     else:
         d, distance = unit_vector(read_u24(packets, at + 14), read_u24(packets, at + 17)), np.inf
-    inv = (inverse(d[0]), inverse(d[1]), inverse(d[2]))
-    t_in, t_out, way = passage(cell, o, inv)
-    if is_before_start(cell, origin, port):
-        way = NOT_AT_START
+    way, inv, t_in, t_out = way_through(cell, origin, o, d, port)
     return way, o, d, inv, t_in, t_out, distance
 
 

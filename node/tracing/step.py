@@ -90,10 +90,16 @@ class Parts(NamedTuple):
 
 
 @part
-def _hand_to_start(tables, packets, at):
-    """Hand a ray on towards the cell of its origin."""
-    port = towards_start(tables.cell, read_origin(packets, at))
-    hand_on(packets, at, port, tables.outputs, tables.counts)
+def _walks_here(tables, packets, at, way, met):
+    """Tell whether a ray walks through this cell, and count that, and the root if it meets none of its boxes. One that has to
+    go to the cell of its origin first is handed on towards it."""
+    outputs, counts = tables.outputs, tables.counts
+    if way == NOT_AT_START:
+        hand_on(packets, at, towards_start(tables.cell, read_origin(packets, at)), outputs, counts)
+        return False
+    counts[WALKS] += 1
+    counts[BOXES] += (met == 0) & (len(tables.surfaces.floats) > 0)
+    return True
 
 
 @part
@@ -212,17 +218,13 @@ def _make_step_ray(parts: Parts) -> Function:
         """Step the ray of the packet at `at`, which is set up.
 
         ray    (way, origin, direction, inverse direction, t_in, t_out, distance), as of `ray_setup.column`
-        boxes  the same as `traverse.for_boxes` gives it; met  how many keys of the root's boxes are on the stack
+        boxes  the same as `bvh_boxes.for_boxes` gives it; met  how many keys of the root's boxes are on the stack
         """
         outputs, counts, kind = tables.outputs, tables.counts, read_kind(packets, at)
         way, o, d, _, t_in, t_out, _ = ray
-        if way == NOT_AT_START:
-            _hand_to_start(tables, packets, at)
+        if not _walks_here(tables, packets, at, way, met):
             return
-        counts[WALKS] += 1
-        if met == 0:
-            counts[BOXES] += len(tables.surfaces.floats) > 0
-        else:
+        if met > 0:
             search = Search(o, d, boxes, max(t_in, T_MIN), t_out)
             t, item, u, v = closest_below(tables.surfaces, outputs.stack, met, search, counts)
             if item >= 0:
@@ -269,12 +271,8 @@ def _make_step_shadow(meet: Function, observed: bool) -> Function:
         light."""
         outputs, counts = tables.outputs, tables.counts
         way, o, d, _, t_in, t_out, distance = ray
-        if way == NOT_AT_START:
-            _hand_to_start(tables, packets, at)
+        if not _walks_here(tables, packets, at, way, met):
             return
-        counts[WALKS] += 1
-        if met == 0:
-            counts[BOXES] += len(tables.surfaces.floats) > 0
         search = Search(o, d, boxes, max(t_in, T_MIN), min(t_out, distance))
         if met > 0 and is_blocked(tables, at, met, search):
             counts[DIED + SHADOW] += 1

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numba import njit
+from numba import errors, njit
 from support.ray_setup import CELLS, STEPS
 
 from raygrid.node.geometry import bvh_boxes, grid_walk, lattice
@@ -18,7 +18,7 @@ from raygrid.node.jit.formula import eight, formula
 from raygrid.node.jit.lanes import ARRAY, BIT, EIGHT, F32, F64, I64, LATTICE_POINT, VECTOR, Columns, mapped
 from raygrid.node.protocol import packing
 from raygrid.node.protocol.packing import HALF_DIRECTION, LARGEST_BINARY32, WORDS
-from raygrid.node.tracing import camera, shading, spawn
+from raygrid.node.tracing import camera, ray_setup, shading, spawn
 
 SPECIAL = [0.0, -0.0, 1.0, -1.0, 0.25, 1e-9, -1e-9, 1e-160]
 numbers = st.one_of(st.sampled_from(SPECIAL), st.floats(-2.0, 2.0))
@@ -90,6 +90,12 @@ FORMULAS: dict[str, tuple[Callable[..., Any], Any, Any, Any]] = {
         (VECTOR, VECTOR, VECTOR, VECTOR),
         LATTICE_POINT,
         (steps, inside, directions, directions),
+    ),
+    "way_through": (
+        ray_setup.way_through,
+        (CELL, LATTICE_POINT, VECTOR, VECTOR, I64),
+        (I64, VECTOR, F64, F64),
+        (cells, points, inside, directions, ports),
     ),
     "towards_light": (
         shading.towards_light,
@@ -193,6 +199,22 @@ def test_arrays_of_numbers_are_interpreted_at_once() -> None:
     """A formula of arrays gives arrays."""
     x, _, _ = packing.unit_vector(np.array([HALF_DIRECTION, 0]), np.array([HALF_DIRECTION, HALF_DIRECTION]))
     assert x.tolist() == [0.0, -1.0]
+
+
+def test_another_kind_is_not_written_to_an_array() -> None:
+    """Interpreted and compiled: LLVM, whose pointers have no types, would write over what lies beside."""
+
+    @eight(takes=(ARRAY, I64))
+    def narrowed(table: Any, at: Any) -> None:
+        table.write(at, table.read(at).to(F32))
+
+    @njit
+    def compiled(table: Any) -> None:
+        narrowed(table, 0)
+
+    for run in (compiled, lambda table: narrowed(table, 0)):
+        with pytest.raises((TypeError, errors.NumbaError), match="float32 is written to an array of float64"):
+            run(np.zeros(EIGHT))
 
 
 def test_wrong_arguments() -> None:
