@@ -2,8 +2,9 @@
 
 For the few numbers that a scene is made of: cameras, turns, cones of light, colours of materials. The C library's functions are
 off by last bits, in another place on another processor. Here the exact value is worked out to some 60 digits more than
-binary64 has, in whole numbers, and rounded once: no two computers differ, unless the exact value lies within 2^-150 of
-itself of the middle between two numbers. Some 45 microseconds a value, powers 120; kernels have `node.geometry.power`.
+binary64 has, in whole numbers, and rounded once: no two computers differ, and it is the nearest number unless the exact
+value lies within 2^-150 of itself of the middle between two. Some 45 microseconds a value, powers 120; kernels have
+`node.geometry.power`.
 
 Arguments and results are floats; angles are in radians.
 """
@@ -100,7 +101,7 @@ def acos(cosine: float) -> float:
 def power(base: float, exponent: float) -> float:
     """A power of a finite number above 0, or 0 of 0. Raises ValueError for another base, and exponents from 1e6 on."""
     if not (0.0 <= base < float("inf") and abs(exponent) < 1e6) or (base == 0.0 and exponent <= 0.0):
-        raise ValueError(f"{base} to the power {exponent} came, wanted a finite base above 0")
+        raise ValueError(f"{base} to the power {exponent} came, wanted a finite base above 0 and an exponent below 1e6")
     if base == 0.0:
         return 0.0
     return float(DIGITS.exp(DIGITS.multiply(DIGITS.ln(Decimal(base)), Decimal(exponent))))

@@ -10,8 +10,11 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
+# Makes a function of the same parts once. Only the last few are kept: a service may load one program after the other.
+made_of_parts = lru_cache(maxsize=8)
 _DIGITS = 12  # hexadecimal, of the digest
 
 

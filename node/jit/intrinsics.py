@@ -40,9 +40,8 @@ if TYPE_CHECKING:
 
 config: Any = _config  # its names are made at run time
 
-_LONG, _INT, _BYTE = ir.IntType(64), ir.IntType(32), ir.IntType(8)
+_LONG, _INT = ir.IntType(64), ir.IntType(32)
 _POINTER = ir.PointerType()
-_BITS = 64  # of what is handed to C functions
 
 
 class FunctionAt:
@@ -223,7 +222,7 @@ def _python_put_words(target: np.ndarray, at: int, first: int, second: int, thir
 def _python_load(bits: int) -> Callable[[np.ndarray, int], np.int64]:
     def load(array: np.ndarray, at: int) -> np.int64:
         raw = array[_checked(array, at, bits // 8)].tobytes()
-        return np.int64(int.from_bytes(raw, "little", signed=bits == _BITS))
+        return np.int64(int.from_bytes(raw, "little", signed=bits == 64))
 
     return load
 

@@ -206,21 +206,20 @@ _SIZES = {F64: 8, F32: 4, I64: 8, I32: 4, U8: 1}
 def type_of(declared: Declared, came: Any) -> Any:
     """The type of numba as which an argument is taken: what is declared; of an array what came.
 
-    Raises TypeError if what came is no contiguous array where one is declared.
+    Raises TypeError if what came is no contiguous array where one is declared, or a fraction where a whole number is.
     """
     if isinstance(declared, FlatArray):
         if not isinstance(came, types.Array) or came.layout != "C":
             raise TypeError(f"{came} is no contiguous array")
         return came
     if not isinstance(declared, tuple):
+        if isinstance(came, types.Float) and declared not in FLOATS:
+            raise TypeError(f"{came} came, wanted {declared}")
         return types.boolean if declared == BIT else getattr(types, declared)
     if getattr(came, "count", None) != len(declared):
         raise TypeError(f"{came} is no tuple of {len(declared)}")
     parts = [type_of(*each) for each in zip(declared, came, strict=True)]
-    if hasattr(declared, "_fields"):
-        named = types.NamedUniTuple if len(set(parts)) == 1 else None
-        return named(parts[0], len(parts), type(declared)) if named else types.NamedTuple(parts, type(declared))
-    return types.Tuple(parts)
+    return types.BaseTuple.from_types(parts, type(declared) if hasattr(declared, "_fields") else None)
 
 
 def result_type(gives: Declared) -> Any:

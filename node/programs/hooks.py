@@ -25,7 +25,7 @@ from raygrid.node.tracing.traverse import meet as plain_meet
 
 KIND = int(AddedKind.PROGRAMMED)
 BRIGHTEST = 1e6  # of a tint or background
-TINT_LIMIT = 1.0 + 1e-9  # of the box, for rounding: far below lattice.SLACK
+BOX_LIMIT = 1.0 + 1e-9  # of the box, for rounding: far below lattice.SLACK
 
 
 @part
@@ -84,9 +84,9 @@ def make_meet(surface_hits: Function) -> Function:
         for k in range(4):
             s = hits[k]
             inside = (
-                abs(middle[0] + s * way[0]) <= table[row, OWN_BOX] * TINT_LIMIT
-                and abs(middle[1] + s * way[1]) <= table[row, OWN_BOX + 1] * TINT_LIMIT
-                and abs(middle[2] + s * way[2]) <= table[row, OWN_BOX + 2] * TINT_LIMIT
+                abs(middle[0] + s * way[0]) <= table[row, OWN_BOX] * BOX_LIMIT
+                and abs(middle[1] + s * way[1]) <= table[row, OWN_BOX + 1] * BOX_LIMIT
+                and abs(middle[2] + s * way[2]) <= table[row, OWN_BOX + 2] * BOX_LIMIT
             )
             t = (s + shift) * scale
             if inside and t >= lower and t < best:

@@ -8,6 +8,7 @@ whose exponent is an integer.
 from __future__ import annotations
 
 import ast
+from collections.abc import Iterator
 from functools import cache
 from typing import Any
 
@@ -34,8 +35,12 @@ def _signed(x, y):  # type: ignore[no-untyped-def]
 
 
 def any_power(x, y):  # type: ignore[no-untyped-def]  # numba wants the same parameters below
-    """What compiled programs call for a power; in plain Python, as Python has it."""
-    return x**y
+    """What programs call for a power. In plain Python, too, as what a program's text works out is a constant of its code."""
+    if isinstance(y, int | np.integer):
+        return x**y
+    if np.ndim(x) or np.ndim(y):
+        return np.vectorize(_signed, otypes=[np.float64])(x, y)
+    return _signed(float(x), float(y))
 
 
 def _typed(x, y):  # type: ignore[no-untyped-def]
@@ -89,6 +94,17 @@ def _is_whole(exponent: ast.expr) -> bool:
     return isinstance(value, ast.Constant) and isinstance(value.value, int)
 
 
+def _names_given(tree: ast.Module) -> Iterator[str]:
+    """The names that a program gives to things of its own: functions, parameters and variables, wherever they are."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            yield node.name
+        elif isinstance(node, ast.arg):
+            yield node.arg
+        elif isinstance(node, ast.Name) and not isinstance(node.ctx, ast.Load):
+            yield node.id
+
+
 def with_safe_powers(source: str, space: dict[str, Any]) -> ast.Module:
     """The text of a program in which powers are calls of `any_power`, which is put into the namespace for it."""
     tree = ast.parse(source)
@@ -99,9 +115,8 @@ def with_safe_powers(source: str, space: dict[str, Any]) -> ast.Module:
         elif isinstance(node, ast.ImportFrom):
             taken.update({alias.asname or alias.name: (node.module, alias.name) for alias in node.names})
     powers = {name for name, what in taken.items() if what in WRITTEN}
-    own = {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)} | (taken.keys() - powers)
-    if "pow" not in own:
-        powers.add("pow")
+    own = set(_names_given(tree)) | (taken.keys() - powers)
+    powers = (powers | {"pow"}) - own
     for node in ast.walk(tree):
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load) and node.id in powers:
             node.id = NAME

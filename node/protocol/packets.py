@@ -1,4 +1,4 @@
-"""Defines the bytes of packets, reads and checks them; of others only `node.protocol.packing` knows them.
+"""Defines the bytes of packets, reads and checks them; `packing` beside it writes those of rays, `decoding` tells what they say.
 
 Every packet is exactly 25 bytes, little-endian.
 

@@ -61,7 +61,7 @@ class NodeState:
         self.program: Compiled | None = None
         self.ready: Compiled | None = None  # a program that is to be used next
         self.run_loop = run_loop
-        self._ray_step: tuple[tuple[object, ...], Address] | None = None  # what it was compiled for, and where it is
+        self._ray_step: Address | None = None  # where it is; None: to be found for the tables that there are now
         self.native, self.timers = no_native_links(), make_timers(False)
         self._tuning = Tuning.rows()
         self.tuning = Tuning.view(self._tuning)
@@ -134,7 +134,7 @@ class NodeState:
 
     def use_ready(self) -> None:
         """Let the program that is ready take the place of the one before; none: the step without a program."""
-        self.program = self.ready
+        self.program, self._ray_step = self.ready, None
 
     def check_known(self, batch: Batch) -> None:
         """Raise ProtocolError for programmed surfaces where no program says what they are."""
@@ -154,7 +154,7 @@ class NodeState:
 
     def _drop_frame(self) -> None:
         self._spare_pixels = self.pixels or self._spare_pixels
-        self.frame = self.limits = self.pixels = None
+        self.frame = self.limits = self.pixels = self._ray_step = None
 
     def set_frame(self, frame: Frame) -> None:
         """Begin a frame: an empty pixel store, no packets, all counts zero.
@@ -224,13 +224,11 @@ class NodeState:
         return StepTables(self.cell, self.space, self.frame, self.surfaces, self.pixels, outputs, self.counts)
 
     def _address(self, tables: StepTables) -> Address:
-        """Where the ray step is, compiled for the types of these tables. They cannot change while these are the same."""
-        ray_step = step if self.program is None else self.program.step
-        known = (ray_step, *tables[1:])
-        if self._ray_step is None or any(one is not other for one, other in zip(known, self._ray_step[0], strict=True)):
-            stacks = self.work_queues.stacks
-            self._ray_step = known, address_of(ray_step, tables, stacks.rays, stacks.ray_ports, 0, 0)
-        return self._ray_step[1]
+        """Where the ray step is, compiled for the types of these tables, which are the same while a frame lasts."""
+        if self._ray_step is None:
+            ray_step, stacks = step if self.program is None else self.program.step, self.work_queues.stacks
+            self._ray_step = address_of(ray_step, tables, stacks.rays, stacks.ray_ports, 0, 0)
+        return self._ray_step
 
     def _send_pixels(self) -> None:
         """Fill the output towards the nearest corner with pixel packets."""

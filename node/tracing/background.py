@@ -6,17 +6,16 @@ needed. Where a light can be seen, each such ray is looked at.
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 
+from raygrid.node.jit.closures import made_of_parts
 from raygrid.node.jit.decorators import Function, kernel
 from raygrid.node.tracing.framebuffer import fixed_point
 from raygrid.node.tracing.primaries import ray_of_sample
 from raygrid.node.tracing.shading import edge_colour
 
 
-@cache
+@made_of_parts
 def make_add_missed(edge_colour: Function) -> Function:
     """Make `add_missed`, over what a ray sees that leaves the scene."""
 

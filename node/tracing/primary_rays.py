@@ -27,7 +27,7 @@ PRIMARY_ROOM = 128  # samples that are noted before they are worked out; a multi
 # rows of `facts`: of a primary the point in the image; of a return its intensity
 IMAGE_X, IMAGE_Y, RETURN_INTENSITY, PRIMARY_FACTS = 0, 1, 2, 5
 # rows of `words`: the first five bytes of a packet, the place in the store of its pixel; then of a primary the packet's
-# words (`spawn.words_of`), and the ports behind which it enters, or a number below 0; of a return the point where its
+# words (`node.protocol.packing`), and the ports behind which it enters, or a number below 0; of a return the point where its
 # sample's ray enters, and column and row of its pixel
 PRIMARY_HEAD, PRIMARY_PLACE = 0, 1
 PRIMARY_WORD, PRIMARY_BEHIND, PRIMARY_POINT, PRIMARY_PIXEL, PRIMARY_WORDS = 2, 6, 2, 5, 7

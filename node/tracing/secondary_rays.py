@@ -9,12 +9,12 @@ handed in.
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from raygrid.node.geometry.power import power
+from raygrid.node.jit.closures import made_of_parts
 from raygrid.node.jit.decorators import Function, part
 from raygrid.node.protocol.counters import DIED, HITS
 from raygrid.node.protocol.frame_tables import DIFFUSE, HIGHLIGHT, IOR, SHINE, SPECULAR, TRANSMISSION
@@ -102,7 +102,7 @@ def _spawn_refracted(tables, hit, d, cosine):
     return not passes
 
 
-@cache
+@made_of_parts
 def make_shade(normals: Function, lit: Function) -> Function:
     """Make `shade`, over the normals of a surface, and the weight with which light counts there."""
 

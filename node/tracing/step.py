@@ -12,7 +12,6 @@ observed, for explanations and for the sampling pre-pass, notes what each ray me
 
 from __future__ import annotations
 
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +20,8 @@ from raygrid.node.geometry.bvh_boxes import for_boxes
 from raygrid.node.geometry.grid_walk import HOST, NO_PORT, leaves_array, towards_cell, towards_start
 from raygrid.node.geometry.lattice import T_MIN
 from raygrid.node.geometry.spanning_tree import towards_corner_part
-from raygrid.node.jit.decorators import Function, part
+from raygrid.node.jit.closures import made_of_parts
+from raygrid.node.jit.decorators import Function, lean, part
 from raygrid.node.protocol.counters import BOXES, DIED, WALKS
 from raygrid.node.protocol.messages import HEAD
 from raygrid.node.protocol.packets import (
@@ -207,7 +207,7 @@ def _note_rays(outputs, first, many, shadows):
         note_ray(outputs.found, first + j, ray, ray[6] if shadows else np.inf)
 
 
-@cache
+@made_of_parts
 def _make_step_ray(parts: Parts) -> Function:
     """Make `step_ray`, which steps a primary, reflected or refracted ray."""
     closest_below, shade = make_closest(parts.meet), make_shade(parts.normals, parts.lit)
@@ -241,7 +241,7 @@ def _make_step_ray(parts: Parts) -> Function:
     return step_ray
 
 
-@cache
+@made_of_parts
 def _make_is_blocked(meet: Function, observed: bool) -> Function:
     """Make `is_blocked`, which tells whether a shadow ray meets anything; one that is observed meets the nearest."""
     closest_below, blocked_below = make_closest(meet), make_blocked(meet)
@@ -260,7 +260,7 @@ def _make_is_blocked(meet: Function, observed: bool) -> Function:
     return is_seen_blocked if observed else is_blocked
 
 
-@cache
+@made_of_parts
 def _make_step_shadow(meet: Function, observed: bool) -> Function:
     """Make `step_shadow`, which steps a shadow ray."""
     is_blocked = _make_is_blocked(meet, observed)
@@ -287,7 +287,7 @@ def _make_step_shadow(meet: Function, observed: bool) -> Function:
 # --- the step ------------------------------------------------------------------------------------------
 
 
-@cache
+@made_of_parts
 def _make_step_each(parts: Parts) -> Function:
     """Make `step_each`, which steps rays that are set up."""
     step_ray, step_shadow = _make_step_ray(parts), _make_step_shadow(parts.meet, parts.observed)
@@ -319,12 +319,12 @@ def _make_step_each(parts: Parts) -> Function:
     return step_each
 
 
-@cache
+@made_of_parts
 def make_step(parts: Parts) -> Function:
     """Make the ray step of these parts. The same parts give the same step, which is compiled once."""
     step_each = _make_step_each(parts)
 
-    @part
+    @lean
     def step(tables, packets, ports, first, last):
         """Process packets first..last-1 of `packets` (uint8, 25 bytes each) that came by `ports` (uint8).
 
@@ -358,29 +358,22 @@ def make_step(parts: Parts) -> Function:
     return step
 
 
-@cache
-def make_step_one(parts: Parts) -> Function:
-    """Make the ray step of one packet, of the same parts."""
-    step_ray, step_shadow = _make_step_ray(parts), _make_step_shadow(parts.meet, parts.observed)
-
-    @part
-    def step_one(tables, packets, at, port):
-        """Process the packet at byte `at` of `packets` that came by a port."""
-        outputs, kind = tables.outputs, read_kind(packets, at)
-        if kind == RETURN or kind == PIXEL:
-            _settle(tables, packets, at, kind)
-            return
-        ray = set_up_ray(tables.cell, tables.space, tables.frame, packets, at, port, kind)
-        met = open_root_for(tables.surfaces, ray, outputs.stack)
-        boxes = for_boxes(ray[1], ray[3])
-        if kind == SHADOW:
-            step_shadow(tables, packets, at, ray, boxes, met)
-        else:
-            step_ray(tables, packets, at, ray, boxes, met)
-        write_all_noted(tables)
-
-    return step_one
+step, observed_step = make_step(Parts()), make_step(Parts(observed=True))
+_step_ray, _step_shadow = _make_step_ray(Parts()), _make_step_shadow(meet, observed=False)
 
 
-step, step_one = make_step(Parts()), make_step_one(Parts())
-observed_step = make_step(Parts(observed=True))
+@part
+def step_one(tables, packets, at, port):
+    """Process the packet at byte `at` of `packets` that came by a port, for those who serve packets one at a time."""
+    outputs, kind = tables.outputs, read_kind(packets, at)
+    if kind == RETURN or kind == PIXEL:
+        _settle(tables, packets, at, kind)
+        return
+    ray = set_up_ray(tables.cell, tables.space, tables.frame, packets, at, port, kind)
+    met = open_root_for(tables.surfaces, ray, outputs.stack)
+    boxes = for_boxes(ray[1], ray[3])
+    if kind == SHADOW:
+        _step_shadow(tables, packets, at, ray, boxes, met)
+    else:
+        _step_ray(tables, packets, at, ray, boxes, met)
+    write_all_noted(tables)

@@ -10,7 +10,6 @@ which the ray enters them.
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +18,7 @@ from raygrid.node.geometry.bvh import COUNT_MASK, COUNT_SHIFT, FIRST_MASK, LEAF_
 from raygrid.node.geometry.bvh_boxes import FAREST, for_boxes, push_boxes
 from raygrid.node.geometry.intersect import MISS, cone, in_polygon, plane, sphere, triangle
 from raygrid.node.geometry.surface_tables import KIND_SHIFT, SLOT_MASK
+from raygrid.node.jit.closures import made_of_parts
 from raygrid.node.jit.decorators import Function, part
 from raygrid.node.protocol.counters import BOXES, TESTS
 
@@ -91,7 +91,7 @@ def open_root(surfaces, keys, at, o, inv, lower, upper):
     return push_boxes(surfaces.floats, 0, near, ray, np.float32(lower), high, keys, at) - at
 
 
-@cache
+@made_of_parts
 def make_closest(meet: Function) -> Function:
     """Make `closest_below`, which finds the first hit of a ray, over what `meet` says of one surface."""
 
@@ -136,7 +136,7 @@ def make_closest(meet: Function) -> Function:
     return closest_below
 
 
-@cache
+@made_of_parts
 def make_blocked(meet: Function) -> Function:
     """Make `blocked_below`, which tells whether a ray hits anything, over what `meet` says of one surface."""
 

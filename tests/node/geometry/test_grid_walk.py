@@ -9,6 +9,7 @@ from fractions import Fraction
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from reference import rays
 from support.cases import steady
 from support.space import Index, cells, even_planes, even_space, index_of, neighbour, origins, spaces, uneven_space
 
@@ -189,6 +190,11 @@ def test_inverse_is_finite():
 
 
 # --- the lattice ------------------------------------------------------------------------------------------
+
+
+@given(st.tuples(*3 * [st.integers(0, 4)]), st.tuples(*3 * [st.integers(0, 4)]))
+def test_towards_cell_is_what_is_said_with_branches(index, target):
+    assert towards_cell(index, target) == rays.towards_cell(index, target)
 
 
 @steady(200)

@@ -221,5 +221,7 @@ def test_wrong_arguments() -> None:
     """Are refused, interpreted and compiled."""
     with pytest.raises(TypeError, match=r"came 0\.5, wanted int64"):
         packing.unit_vector(0.5, 1)
+    with pytest.raises((TypeError, errors.NumbaError), match="float64 came, wanted int64"):
+        njit(lambda: packing.unit_vector(0.5, 1))()
     with pytest.raises(IndexError, match=r"places 3\.\.10 of an array of 8"):
         bvh_boxes.copy_keys(np.zeros(8, np.int64), 3, np.zeros(8, np.int64), 0)

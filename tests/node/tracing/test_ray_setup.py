@@ -12,6 +12,7 @@ from raygrid.node.geometry.lattice import LATTICE
 from raygrid.node.protocol.packets import PRIMARY, SIZE
 from raygrid.node.tracing import ray_setup
 from raygrid.node.tracing.ray_setup import KNOWN, SETUP_RAYS, make_ray_setup, read_prepared, set_up_rays
+from raygrid.node.tracing.single_ray import set_up_ray
 
 
 def _bits(numbers):
@@ -28,6 +29,9 @@ def _same(frame, packets, came_by, cell, shadows):
     for k in range(many):
         way, o, d, inv, t_in, t_out, distance = set_up(cell, SPACE, frame, packets, k * SIZE, int(came_by[k]), kind)
         assert columns.ways[k] == way
+        alone = set_up_ray(cell, SPACE, frame, packets, k * SIZE, int(came_by[k]), kind)
+        assert alone[0] == way
+        assert _bits([*alone[1], *alone[2], *alone[3], *alone[4:]]) == _bits([*o, *d, *inv, t_in, t_out, distance])
         expected = [*o, *d, *inv, t_in, t_out] + ([distance] if shadows else [])
         assert _bits(known[: len(expected), k]) == _bits(np.array(expected))
 
