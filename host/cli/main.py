@@ -225,8 +225,10 @@ def info(scene: str, as_json: bool) -> None:
 
 @cli.command(short_help="Write a scene for another program: .pov, .glb, .obj, .ply.", epilog=EXPORT_EXAMPLES)
 @click.argument("scene", type=SceneName())
-@click.option("--depth", type=NumberType(1, MAX_DEPTH), metavar="N", help="As for render.  [default: the scene's, else 5]")
-@click.option("--highlights/--no-highlights", default=None, help="As for render.  [default: off for NFF, else on]")
+@click.option("--depth", type=NumberType(1, MAX_DEPTH), metavar="N",
+              help="As for render; for .pov alone.  [default: the scene's, else 5]")
+@click.option("--highlights/--no-highlights", default=None,
+              help="As for render; for .pov and .glb.  [default: off for NFF, else on]")
 @path_option(
     "-o",
     "--output",

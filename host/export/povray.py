@@ -32,35 +32,25 @@ FAR = 1e3  # a directional light stands this many times the scene's measure away
 SHADE = 0.002  # radius of the shade of a spot light in POV-Ray's units, of which it overlooks 0.001
 
 
-def export_pov(
-    scene: Scene,
-    path: str | Path,
-    depth: int | None = None,
-    highlights: bool | None = None,
-    frame: int | None = None,
-) -> None:
+def export_pov(scene: Scene, path: str | Path, depth: int | None = None, frame: int | None = None) -> None:
     """Write a scene as a POV-Ray 3.7 file; it appears whole or not at all.
 
-    depth       greatest depth of the ray tree; None: what the scene's file asks for, else 5
-    highlights  whether materials' highlights are used; None: as the scene's file has it
-    frame       of an animation, None for its first
+    depth  greatest depth of the ray tree; None: what the scene's file asks for, else 5
+    frame  of an animation, None for its first
     Raises SceneError for a scene without surfaces, OutputError if the file cannot be written.
     """
     if len(scene.surfaces) == 0:
         raise SceneError(f"{scene.name}: the scene has no surfaces")
-    lines = pov_lines(scene, depth, highlights, frame)
+    lines = pov_lines(scene, depth, frame)
     write_whole(path, lambda file: file.writelines(line.encode() + b"\n" for line in lines))
 
 
-def pov_lines(
-    scene: Scene, depth: int | None = None, highlights: bool | None = None, frame: int | None = None
-) -> Iterator[str]:
+def pov_lines(scene: Scene, depth: int | None = None, frame: int | None = None) -> Iterator[str]:
     """The lines of the file, as `export_pov` writes them."""
     taken = "" if scene.shot is None else f", frame {frame or 1} of {scene.shot.frames}"
     scene = still(scene, frame or 1)
     scale = _scale(scene)
-    shines = scene.highlights if highlights is None else highlights
-    materials = MaterialWriter(scene.materials, shines)
+    materials = MaterialWriter(scene.materials, scene.highlights)
     width, height = scene.size or DEFAULT_SIZE
     yield f"// {Path(scene.name).name}{taken}, exported by raygrid for POV-Ray 3.7. To get raygrid's linear picture:"
     yield f"//   povray +I<this file> +W{width} +H{height} -A +FN16 File_Gamma=1.0"

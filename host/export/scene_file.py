@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -43,7 +44,7 @@ def export_file(
     default. Standard output (-), a pipe or a device gets POV-Ray's words.
 
     depth       for .pov: greatest depth of the ray tree; None: what the scene asks for, else 5
-    highlights  whether materials' highlights are used; None: as the scene has it
+    highlights  for .pov and .glb: whether materials' highlights are used; None: as the scene has it
     frame       of an animation, None for its first
     tell        is told which frame was taken, and what the file cannot say
     view        from where and in which light it is seen (`raygrid.host.scene.view.GivenView`)
@@ -68,8 +69,10 @@ def export_file(
             tell(told)
         if not len(read.surfaces):
             raise SceneError(f"{read.name}: the scene has no surfaces")
+        if highlights is not None:
+            read = replace(read, highlights=highlights)
         if suffix == ".pov":
-            export_pov(read, path, depth, highlights, frame)
+            export_pov(read, path, depth, frame)
         else:
             _export_meshes(still(read, frame or 1), path, suffix, tell)
     return path

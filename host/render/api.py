@@ -135,10 +135,10 @@ class Machine:
                 yield picture
 
     def _tell_remarks(self, job: Job, picture: Picture) -> None:
-        for text in job.scene.remarks:
+        for text in (f"{job.scene.name}: {words}" for words in job.scene.remarks):
             if text not in self._told:
                 self._told.add(text)
-                remark(f"{job.scene.name}: {text}")
+                remark(text)
         if (blank := picture.blank()) is not None:
             remark(f"{job.scene.name}: {blank}", logging.WARNING)
 

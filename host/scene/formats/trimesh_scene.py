@@ -63,15 +63,16 @@ class _TrimeshReader:
 
     def __init__(self, builder: SceneBuilder) -> None:
         self.builder = builder
-        self.physical = False  # whether there was a material of glTF
+        self.physical = False  # whether any mesh has a material of glTF: the whole would be written so
         self._pictures: dict[int, Texture] = {}  # by id of an image: meshes share them
 
     def read_graph(self, scene: trimesh.Scene) -> Camera | None:
         """Add the meshes of all nodes, as the nodes place them; returns the scene's camera, if it has one."""
         import trimesh
 
-        left_out = 0
-        for node in scene.graph.nodes_geometry:
+        left_out, placed = 0, scene.graph.nodes_geometry
+        self.physical = any(_is_physical(scene.geometry[scene.graph[node][1]]) for node in placed)
+        for node in placed:
             matrix, geometry = scene.graph[node]
             mesh, where = scene.geometry[geometry], f"{self.builder.where}, node {shown(node)}"
             if isinstance(mesh, trimesh.Trimesh):
@@ -104,6 +105,7 @@ class _TrimeshReader:
             normals = _table(mesh.vertex_normals, 3, f"{where}: the normals", len(points))
         kind, data, faces = placed_faces(matrix, points, faces, normals)
         materials = self._materials(mesh, faces, where)
+        self.physical = self.physical or _is_physical(mesh)
         if normals is None:
             # What would be written as glTF is flat, as that format says.
             self.builder.add_facets(data, materials, crease=0.0 if self.physical else CREASE)
@@ -137,7 +139,6 @@ class _TrimeshReader:
         if isinstance(material, SimpleMaterial):
             return _simple(material), PLAINLY_TINTED, material.image
         if isinstance(material, PBRMaterial):
-            self.physical = True
             return self._physical(material, where), TINTED, material.baseColorTexture
         self.builder.remarks.append(f"grey used for a material of the kind {type(material).__name__}")
         return GREY, PLAINLY_TINTED, None
@@ -164,6 +165,12 @@ class _TrimeshReader:
             take_texels(picture.width * picture.height, MOST_TEXELS, where)
             self._pictures[id(picture)] = Texture(np.asarray(picture.convert("RGB")))
         return self._pictures[id(picture)]
+
+
+def _is_physical(mesh: Any) -> bool:
+    from trimesh.visual.material import PBRMaterial
+
+    return isinstance(getattr(getattr(mesh, "visual", None), "material", None), PBRMaterial)
 
 
 def _simple(material: Any) -> Table:

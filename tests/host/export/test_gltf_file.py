@@ -120,6 +120,16 @@ def test_other_kinds_hold_the_triangles(tmp_path, suffix):
     assert "left out: the format has none" in told[0]
 
 
+@pytest.mark.parametrize(("own", "asked", "shine"), [(True, None, True), (True, False, False), (False, True, True)])
+def test_highlights_are_written_as_they_are_asked_for(tmp_path, own, asked, shine):
+    """It failed: a .glb had those of the scene, whatever was asked for."""
+    scene = raygrid.Scene(highlights=own)
+    scene.material("shiny", diffuse=0.5, highlight=0.4, shine=60)
+    scene.sphere((0, 0, 0), 1, material="shiny")
+    path = export_file(scene, tmp_path / "a.glb", highlights=asked)
+    assert load_scene(path).materials["highlight"].any() == shine
+
+
 def test_what_cannot_be_written_is_said(tmp_path):
     with pytest.raises(
         OutputError, match=r"a.txt: the file has the suffix '.txt', wanted one of: .pov .glb .obj .ply .stl"

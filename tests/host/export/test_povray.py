@@ -2,6 +2,7 @@
 
 import shutil
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -148,9 +149,9 @@ def test_povray_renders_the_same_picture_of_everything_else(camera, tmp_path):
     assert differ < 0.002
 
 
-def text_of(tmp_path, text, **options):
+def text_of(tmp_path, text, highlights=False, **options):
     (tmp_path / "x.nff").write_text(text)
-    return "\n".join(pov_lines(load_scene(tmp_path / "x.nff"), **options))
+    return "\n".join(pov_lines(replace(load_scene(tmp_path / "x.nff"), highlights=highlights), **options))
 
 
 def test_head_and_rules(tmp_path):

@@ -174,6 +174,19 @@ def test_remarks_are_told_once_and_a_black_picture_each_time(machine, caplog):
             machine.render(scene, size=SIZE)
 
 
+def test_an_equal_remark_on_another_scene_is_told_too(machine, caplog, tmp_path):
+    """It failed: remarks were remembered without the name of their scene."""
+    for name in ("a.toml", "b.toml"):
+        (tmp_path / name).write_text('[[surfaces]]\nkind = "sphere"\ncentre = [0, 0, 0]\nradius = 1\n')
+    with caplog.at_level(logging.INFO, "raygrid"):
+        for name in ("a.toml", "b.toml", "a.toml"):
+            machine.render(tmp_path / name, size=SIZE)
+    lights = "no light in the file: a key and a fill light invented"
+    assert [said for record in caplog.records if lights in (said := record.getMessage())] == [
+        f"{name}: {lights}" for name in ("a.toml", "b.toml")
+    ]
+
+
 def test_what_is_no_scene_is_refused_in_one_sentence(machine):
     for given in (None, np.zeros((2, 3)), [TINY]):
         with pytest.raises(

@@ -155,6 +155,18 @@ def test_the_transforms_of_a_graph_are_applied(tmp_path):
     assert scene.name == "trimesh.Scene"
 
 
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_a_material_of_gltf_makes_all_meshes_flat_wherever_it_stands_in_the_graph(tmp_path, order):
+    """It failed: meshes of nodes before it were smooth."""
+    plain, physical = trimesh.creation.icosphere(2), trimesh.creation.icosphere(2)
+    uv = np.zeros((len(physical.vertices), 2))
+    physical.visual = trimesh.visual.TextureVisuals(uv=uv, material=PBRMaterial(baseColorFactor=RED))
+    given = trimesh.Scene([(plain, physical)[number] for number in order])
+    assert load_scene(given).surfaces.count(Kind.SMOOTH) == 0
+    assert from_file(tmp_path, given, ".glb").surfaces.count(Kind.SMOOTH) == 0
+    assert load_scene(trimesh.Scene(plain)).surfaces.count(Kind.SMOOTH) == 320
+
+
 def test_a_graph_s_camera_is_used():
     given = graph()
     assert any("no camera" in remark for remark in load_scene(given).remarks)
