@@ -96,16 +96,16 @@ def simulate(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], 
 
     names = ("cost", "search", "band", "stats", "table", "plots", "transfer", "quiet", "frame", "as_json")
     chosen = {name: options.pop(name) for name in names}
-    if chosen["as_json"] and "-" in (*outputs, chosen["stats"]):
+    if chosen["as_json"] and "-" in (*outputs, chosen["stats"], chosen["table"]):
         raise click.UsageError("--json came with -, wanted one of them on standard output", click.get_current_context())
     run_simulate(SimulateRequest(scene, shape, outputs=outputs, **chosen, settings=cast(GivenSettings, options)))
 
 
 @click.command(short_help="Predict the machine time of a frame on any arrays, in seconds.", epilog=PREDICT_EXAMPLES)
-@click.argument("scene")
+@click.argument("scene", type=SceneName())
 @click.option("--array", "shapes", type=ShapeType(), multiple=True, metavar="NXxNYxNZ",
               help="Processors on each axis; may be repeated, with a row for each.  [default: 2x2x2]")
-@click.option("--cost", default="8086", show_default=True, metavar="MODEL", help="As for simulate.")
+@click.option("--cost", type=CostName(), default="8086", show_default=True, metavar="MODEL", help="As for simulate.")
 @click.option("--search", type=click.Choice(["list", "tree"]), help="As for simulate.")
 @click.option("--size", type=PairType(), metavar="WxH", help="As for render.")
 @click.option("--samples", type=NumberType(1, MAX_SAMPLES), metavar="N", help="As for render.")

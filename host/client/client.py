@@ -24,12 +24,13 @@ from raygrid.host.client.connection import ANSWER_SECONDS, NO_JOB, Connection
 from raygrid.host.client.facts import ENDED, JobFacts, StatusFacts
 from raygrid.host.client.job_events import Result, check_done, result_of, tell
 from raygrid.host.client.picture_folder import PictureFolder, frames_asked
-from raygrid.host.client.protocol import Message, shown
+from raygrid.host.client.protocol import Message
 from raygrid.host.client.service_files import DEFAULT_NAME, ServiceRecord, find
 from raygrid.host.client.submission import GivenJob, Name, checked_message, plain, submission_of
 from raygrid.host.image.frames import Ends
 from raygrid.host.render.given_settings import SETTINGS, GivenSettings
 from raygrid.host.render.progress import ProgressHook, following
+from raygrid.host.text.clean_text import shown
 from raygrid.node.errors import ArrayError
 
 if TYPE_CHECKING:

@@ -11,6 +11,7 @@ from typing import Any
 
 import msgpack
 
+from raygrid.host.text.clean_text import SHOWN, shown
 from raygrid.node.errors import ProtocolError
 from raygrid.node.protocol import MapLimits, Splitter, framed, read_map
 
@@ -23,7 +24,6 @@ MOST_ITEMS = 1 << 17  # of a list or map
 DEEPEST = 6  # lists and maps within each other
 LIMITS = MapLimits(MOST_ITEMS, DEEPEST, most_bytes=0)
 PLAIN = (str, int, float, bool, type(None))
-SHOWN = 60  # characters of a value that is named in an error
 
 
 def pack(message: Message, escape: bool = False) -> bytes:
@@ -98,16 +98,3 @@ def _is_torn(text: str) -> bool:
 
 def _name(key: object) -> str:
     return key[:SHOWN] if isinstance(key, str) and key.isprintable() else shown(key)
-
-
-def shown(value: object) -> str:
-    """A value as an error names it: as Python writes it, made short."""
-    if type(value) is int and value.bit_length() > 512:  # thousands of digits take long to write, or are refused
-        return f"a whole number of {value.bit_length()} bits"
-    try:
-        text = repr(value)
-    except ValueError:  # such a number within
-        return f"a {type(value).__name__}"
-    if len(text) > SHOWN:  # of a path the end counts more
-        text = f"{text[: SHOWN // 3]}...{text[-SHOWN * 2 // 3 :]}"
-    return text

@@ -20,11 +20,12 @@ from pydantic import (
     model_validator,
 )
 
-from raygrid.host.client.protocol import Message, shown
+from raygrid.host.client.protocol import Message
 from raygrid.host.image.frames import LAST_FRAME, MOST_FRAMES, check_job
 from raygrid.host.render.given_settings import GivenSettings, parted
 from raygrid.host.scene import view
 from raygrid.host.text import bounds
+from raygrid.host.text.clean_text import shown
 from raygrid.node.errors import OutputError, ProtocolError, SceneError
 
 _PATH = f"an absolute path of at most {bounds.LONGEST_PATH} characters"

@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
-from raygrid.host.client.protocol import Message, shown
+from raygrid.host.client.protocol import Message
 from raygrid.host.image.frames import Ends, Turntable, check_job
 from raygrid.host.image.frames import absolute as absolute_pattern
 from raygrid.host.render.given_settings import SETTINGS, GivenSettings
+from raygrid.host.text.clean_text import shown
 from raygrid.node.errors import ArrayError
 
 Name = str | os.PathLike[str]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,8 @@ NO_CAMERA = f"no camera in the file: one that looks at everything invented; {ELS
 MANY_CAMERAS = "cameras used; --camera (in Python camera=) chooses another:"  # within a remark
 NO_LIGHT = "no light in the file: a key and a fill light invented"
 UNLIT = "no light in the file: only the background and its reflections will show"
+
+OF_ITS_OWN = (NO_CAMERA, MANY_CAMERAS, NO_LIGHT, UNLIT)  # of no use in a scene that takes surfaces only
 
 FACETS = (Kind.TRIANGLE, Kind.SMOOTH)
 ENOUGH = 100  # triangles: of fewer it is chance how many lie where
@@ -72,6 +75,11 @@ def finish_scene(
         camera_invented=camera_invented,
         lights_invented=lights_invented,
     )
+
+
+def without(remarks: Iterable[str], *gone: str) -> tuple[str, ...]:
+    """The remarks in which none of these occurs."""
+    return tuple(remark for remark in remarks if not any(known in remark for known in gone))
 
 
 def found_front(surfaces: SurfaceSet, up: Vector) -> Vector:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NoReturn, TypedDict, cast
 
+from raygrid.host.text.clean_text import shown
 from raygrid.host.text.misuse import SceneMisuse
 
 Triple = tuple[float, float, float]
@@ -122,8 +123,8 @@ def numbers(value: Any) -> list[float] | None:
 
 
 def _number(value: Any) -> float | None:
-    if hasattr(value, "item") and not isinstance(value, int | float):
-        value = value.item()
+    if getattr(value, "ndim", None) == 0 and not isinstance(value, int | float):
+        value = value.item()  # a number of numpy
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= MAX_NUMBER:
         return None
     return float(value)
@@ -189,6 +190,4 @@ def _fit(value: Any) -> str | None:
 
 
 def _refuse(name: str, value: Any, wanted: str) -> NoReturn:
-    text = repr(value)
-    came = text if len(text) <= 60 else f"{text[:57]}..."
-    raise SceneMisuse(f"{name} came as {came}, wanted {wanted}")
+    raise SceneMisuse(f"{name} came as {shown(value)}, wanted {wanted}")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from raygrid.host.scene.animation.scene_frames import animation_bounds
 from raygrid.host.scene.builder import shown
 from raygrid.host.scene.cameras import DEFAULT_FOV, Camera, NamedCamera, fitted_camera, redirected_camera
-from raygrid.host.scene.finish import MANY_CAMERAS, NO_CAMERA, NO_LIGHT, UNLIT
+from raygrid.host.scene.finish import MANY_CAMERAS, NO_CAMERA, NO_LIGHT, UNLIT, without
 from raygrid.host.scene.lights import invented_lights, light_table, point_light
 from raygrid.host.scene.pose import Animation, Pose
 from raygrid.host.scene.scene import Scene
@@ -41,11 +41,11 @@ def seen(scene: Scene, view: View) -> Scene:
         except SceneError as error:
             raise SceneMisuse(f"{scene.name}: {error}") from None
         made = replace(
-            made, camera=camera, camera_invented=False, remarks=_without(made.remarks, NO_CAMERA, MANY_CAMERAS)
+            made, camera=camera, camera_invented=False, remarks=without(made.remarks, NO_CAMERA, MANY_CAMERAS)
         )
     lights = _lights(view)
     if lights is not None:
-        kept = _without(made.remarks, NO_LIGHT, UNLIT)
+        kept = without(made.remarks, NO_LIGHT, UNLIT)
         made = replace(made, lights=lights, lights_invented=False, remarks=kept)
     elif made.lights_invented:
         lights = invented_lights(made.camera)
@@ -132,7 +132,3 @@ def _lights(view: View) -> Lights | None:
     if not view.lights:
         return None
     return light_table([point_light(row[:3], row[3:] or 1.0) for row in view.lights])
-
-
-def _without(remarks: tuple[str, ...], *gone: str) -> tuple[str, ...]:
-    return tuple(remark for remark in remarks if not any(known in remark for known in gone))

@@ -151,7 +151,7 @@ class Answers:
             self._state.finishing = True
         else:
             asyncio.get_running_loop().call_soon(self._service.end)
-        return {"is": "ending", "pid": os.getpid(), "unfinished": left}
+        return {"is": "ending", "pid": os.getpid(), "unfinished": 0 if finish else left}
 
     async def facts(self) -> StatusFacts:
         """How the array is (docs/service.md)."""

@@ -11,6 +11,8 @@ import unicodedata
 
 LONGEST = 2000  # of a whole sentence
 GAP = " ... "
+SHOWN = 60  # characters of a value that is named in an error
+LONGEST_NUMBER = 512  # bits: thousands of digits take long to write, or are refused
 BYTES = range(0xDC80, 0xDD00)  # how Python keeps bytes in a name that are no UTF-8
 
 
@@ -20,7 +22,22 @@ def printable(text: str, limit: int = LONGEST) -> str:
     What is longer is cut in its middle: of a path and of a message the end says as much as the beginning.
     """
     text = _cut(text, limit)
-    return text if text.isascii() and text.isprintable() else _cut("".join(map(_shown, text)), limit)
+    return text if text.isascii() and text.isprintable() else _cut("".join(map(_escaped, text)), limit)
+
+
+def shown(value: object) -> str:
+    """Write a value as an error names it: as Python writes it, on one line, made short."""
+    if type(value) is int and value.bit_length() > LONGEST_NUMBER:
+        return f"a whole number of {value.bit_length()} bits"
+    try:
+        text = repr(value)
+    except ValueError:  # such a number within
+        return f"a {type(value).__name__}"
+    if "\n" in text:  # rows of an array
+        text = " ".join(text.split())
+    if len(text) > SHOWN:  # of a path the end counts more
+        text = f"{text[: SHOWN // 3]}...{text[-SHOWN * 2 // 3 :]}"
+    return text
 
 
 def _cut(text: str, limit: int) -> str:
@@ -37,7 +54,7 @@ def unreadable(error: Exception) -> str:
     return "a number in it has too many digits" if type(error) is ValueError else str(error)
 
 
-def _shown(character: str) -> str:
+def _escaped(character: str) -> str:
     if character.isprintable() or unicodedata.category(character) == "Zs":
         return character
     number = ord(character)

@@ -201,9 +201,7 @@ def run_down(name: str, finish: bool, cancel: bool, kill: bool, as_json: bool = 
     if as_json:
         write_result(json.dumps({"name": name, "killed": False, "unfinished": answer["unfinished"]}))
         return
-    left = (
-        "" if finish or not answer["unfinished"] else f", {count_of(answer['unfinished'], 'job')} left in its journal"
-    )
+    left = f", {count_of(answer['unfinished'], 'job')} left in its journal" if answer["unfinished"] else ""
     write_result(f"{name}: ended{left}")
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from raygrid.host.image.outputs import check_path, write_whole
+from raygrid.host.scene.builder import MAX_COORDINATE
 from raygrid.host.scene.formats.polygon_mesh import PolygonMesh
 from raygrid.host.scene.formats.toml import TomlReader
 from raygrid.host.scene.formats.toml_errors import check_item, checked
@@ -25,6 +26,7 @@ from raygrid.node.errors import SceneError
 from raygrid.node.geometry import F64
 
 WHERE = "raygrid.Scene"
+ONE_OF = {"meshes": "mesh"}  # a word that has more than an s in the plural
 
 Vector3 = Sequence[float] | NDArray[np.floating[Any]] | NDArray[np.integer[Any]]
 Weight = float | Vector3
@@ -73,7 +75,7 @@ class MemoryScene(SceneSource):
 
     def __repr__(self) -> str:
         rows = (*self._lists.items(), *self._named.items())
-        parts = [f"{len(row)} {name[:-1] if len(row) == 1 and name != 'meshes' else name}" for name, row in rows if row]
+        parts = [f"{len(row)} {ONE_OF.get(name, name[:-1]) if len(row) == 1 else name}" for name, row in rows if row]
         return f"<raygrid.Scene of {', '.join(parts) or 'nothing'}>"
 
     def material(
@@ -271,12 +273,15 @@ class MemoryScene(SceneSource):
         check_path(str(target))
         self.read()
         names = {name: f"{target.stem}_mesh_{number}.ply" for number, name in enumerate(self._meshes, 1)}
+        try:
+            text = toml_text(self._document(lambda name: names[name])).encode()
+        except UnicodeEncodeError:
+            raise OutputMisuse(f"{target}: the name is no UTF-8, wanted one that a scene file can refer to") from None
         written = []
         for name, mesh in self._meshes.items():
             beside = str(target.with_name(names[name]))
             write_whole(beside, mesh.write_ply)
             written.append(beside)
-        text = toml_text(self._document(lambda name: names[name])).encode()
         write_whole(str(target), lambda file: file.write(text))
         return str(target), *written
 
@@ -354,7 +359,7 @@ def _rows(values: ArrayLike, width: int, what: str, rows: int | None = None) -> 
     if table.shape[1] != width or rows not in (None, len(table)):
         raise SceneError(f"{what} have the shape {table.shape}, wanted {wanted}")
     copy = np.array(table, np.float64)
-    sound = np.abs(copy) <= 1e30
+    sound = np.abs(copy) <= MAX_COORDINATE
     if not sound.all():
         row = int(np.argmax(~sound.all(axis=1)))
         raise SceneError(f"{what}[{row}] is {copy[row].tolist()}, wanted finite numbers of at most 1e30")

@@ -21,7 +21,7 @@ from raygrid.host.files.toml_reader import read_toml
 from raygrid.host.scene.builder import SceneBuilder, material, shown
 from raygrid.host.scene.cameras import DEFAULT_FOV, Camera, orthographic_camera, perspective_camera
 from raygrid.host.scene.file_access import read_bytes
-from raygrid.host.scene.finish import NO_CAMERA, NO_LIGHT, UNLIT, finish_scene
+from raygrid.host.scene.finish import OF_ITS_OWN, finish_scene, without
 from raygrid.host.scene.formats import toml_schema as schema
 from raygrid.host.scene.formats.mtl import GREY
 from raygrid.host.scene.formats.polygon_mesh import PolygonMesh
@@ -251,12 +251,12 @@ class TomlReader:
         override = None if mesh.material is None else self._material(mesh.material, key)
         try:
             with crease_of_file(mesh.crease):
-                scene = self._mesh_scene(mesh, key)
+                scene = self._mesh_scene(mesh)
             self._add_scene(scene, placement(mesh.scale, mesh.rotate), mesh.translate, override)
         except SceneError as error:
             raise self._error((*key, "file"), f"cannot be placed: {error}") from None
 
-    def _mesh_scene(self, mesh: schema.Mesh, key: Key) -> Scene:
+    def _mesh_scene(self, mesh: schema.Mesh) -> Scene:
         """The scene of another file, or of a mesh of memory."""
         given = self.meshes.get(mesh.file)
         if given is not None:
@@ -278,8 +278,7 @@ class TomlReader:
                 self.builder.add_polygons(data, batch.starts, materials, order)
             else:
                 self.builder.add(batch.kind, data, materials, order)
-        kept = [remark for remark in scene.remarks if remark not in (NO_CAMERA, NO_LIGHT, UNLIT)]
-        self.builder.remarks += [f"{scene.name}: {remark}" for remark in kept]
+        self.builder.remarks += [f"{scene.name}: {remark}" for remark in without(scene.remarks, *OF_ITS_OWN)]
 
     def _camera(self, base: Scene | None) -> Camera | None:
         c = self.file.camera

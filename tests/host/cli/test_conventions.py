@@ -97,6 +97,8 @@ def completed(*words: str) -> list[str]:
         (["render", "x.nff", "-o", "o"], {"file,o"}),
         (["law", "a.nff", "b"], {"file,b"}),
         (["simulate", "x.nff", "--cost", "80"], {"file,80", "plain,8086", "plain,8086-soft"}),
+        (["predict", "sc"], {"file,sc"}),
+        (["predict", "x.nff", "--cost", "t"], {"file,t", "plain,t800"}),
         (["schema", "s"], {"plain,scene", "plain,sample"}),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",

@@ -152,6 +152,16 @@ def test_a_camera_is_chosen_by_name_or_number(tmp_path):
     assert load_scene(path, camera="side", fov=20).camera.half == pytest.approx(np.tan(np.radians(10)))
 
 
+def test_cameras_of_a_placed_mesh_are_no_matter(tmp_path):
+    """It failed: --camera was said to choose another, and was refused then."""
+    two_cameras(tmp_path, False)
+    (tmp_path / "x.toml").write_text('[[meshes]]\nfile = "two.gltf"\n')
+    assert [remark.partition(":")[0] for remark in load_scene(tmp_path / "x.toml").remarks] == [
+        "no camera in the file",
+        "no light in the file",
+    ]
+
+
 def test_a_chosen_camera_moves_as_the_file_has_it_and_one_that_is_told_stays(tmp_path):
     path = two_cameras(tmp_path, True)
     side = load_scene(path, camera="side").shot

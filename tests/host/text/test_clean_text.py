@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from raygrid.host.text.clean_text import GAP, printable
+from raygrid.host.text.clean_text import GAP, SHOWN, printable, shown
 from raygrid.host.text.tables import folded
 
 ANYTHING = st.text(st.characters(codec=None), max_size=80)  # lone surrogates, too
@@ -29,6 +30,27 @@ ANYTHING = st.text(st.characters(codec=None), max_size=80)  # lone surrogates, t
 )
 def test_control_characters_and_halves_of_characters_become_escapes(came: str, shown: str) -> None:
     assert printable(came) == shown
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (1.5, "1.5"),
+        ("a\nb", r"'a\nb'"),
+        (10**200, "a whole number of 665 bits"),
+        ([10**5000], "a list"),
+        (np.zeros((2, 1)), "array([[0.], [0.]])"),
+    ],
+)
+def test_values_are_written_as_python_has_them_on_one_line(value: object, text: str) -> None:
+    assert shown(value) == text
+
+
+def test_of_a_long_value_the_beginning_and_the_end_are_written() -> None:
+    text = shown("/" + 200 * "x" + "/room.glb")
+    assert text.startswith("'/x")
+    assert text.endswith("x/room.glb'")
+    assert len(text) == SHOWN + 3
 
 
 @given(ANYTHING, st.integers(0, 40))

@@ -122,13 +122,14 @@ TOGETHER = [  # command, arguments after it, what is said of them
     ("completion", [], "Missing argument 'SHELL'.*"),
     ("completion", ["csh"], "shell: 'csh' is not one of .*"),
     ("simulate", [TINY, "--json", "--stats", "-"], "--json came with -, wanted one of them on standard output"),
+    ("simulate", [TINY, "--json", "--csv", "-"], "--json came with -, wanted one of them on standard output"),
     ("cancel", [], "wanted either numbers of jobs or --all"),
     ("cancel", ["1", "--all"], "wanted either numbers of jobs or --all"),
     ("down", ["--kill", "--finish"], "--kill came with --finish or --cancel, wanted it alone"),
     *((name, ["x.xyz", *NEEDED.get(name, [])], "x.xyz: the .*suffix.* wanted one of: .*")
-      for name in ("render", "info", "export", "trace", "jam", "simulate", "law", "submit")),
+      for name in ("render", "info", "export", "trace", "jam", "simulate", "predict", "law", "submit")),
     *((name, ["", *NEEDED.get(name, [])], "a scene came as '', wanted the name of a file")
-      for name in ("render", "info", "export", "trace", "jam", "simulate", "law", "submit")),
+      for name in ("render", "info", "export", "trace", "jam", "simulate", "predict", "law", "submit")),
 ]  # fmt: skip
 
 

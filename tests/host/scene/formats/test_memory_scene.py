@@ -1,6 +1,7 @@
 """raygrid.Scene: what is built is what a scene file of it gives, saved and read it has the same bits, and errors are those
 of scene files."""
 
+import os
 import pickle
 
 import numpy as np
@@ -12,6 +13,7 @@ from raygrid.host.image.outputs import OutputError
 from raygrid.host.scene.formats.polygon_mesh import PolygonMesh
 from raygrid.host.scene.load import load_scene
 from raygrid.host.scene.scene import describe
+from raygrid.host.text.misuse import OutputMisuse
 from raygrid.node.errors import SceneError
 from raygrid.node.geometry import Kind
 
@@ -113,6 +115,9 @@ def test_the_class_is_known_by_its_public_name():
     scene = whole()
     assert repr(scene) == "<raygrid.Scene of 3 lights, 5 surfaces, 3 meshes, 2 materials, 1 group>"
     assert f"{raygrid.Scene.__module__}.{raygrid.Scene.__qualname__}" == "raygrid.Scene"
+    few = raygrid.Scene()
+    few.mesh(CORNERS, SIDES)
+    assert repr(few) == "<raygrid.Scene of 1 mesh>"
     again = pickle.loads(pickle.dumps(scene))
     assert describe(load_scene(again)) == describe(load_scene(scene))
 
@@ -179,6 +184,19 @@ def test_it_is_saved_as_a_scene_file_only(tmp_path):
         whole().save(tmp_path / "a.glb")
     with pytest.raises(SceneError, match=r"image.height is 0, wanted greater than or equal to 1"):
         raygrid.Scene(size=(3, 0))
+
+
+def test_a_name_that_a_scene_file_cannot_hold_is_refused_before_anything_is_written(tmp_path):
+    """It failed: a UnicodeEncodeError came, and meshes were there already."""
+    scene = raygrid.Scene()
+    scene.sphere((0, 0, 0), 1)
+    name = os.fsdecode(b"T\xfcr.toml")
+    assert scene.save(tmp_path / name) == (str(tmp_path / name),)
+    (tmp_path / name).unlink()
+    scene.mesh(CORNERS, SIDES)
+    with pytest.raises(OutputMisuse, match="the name is no UTF-8, wanted one that a scene file can refer to"):
+        scene.save(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_views_are_for_scenes_in_memory_too():
