@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.host.export.tessellation import ROUND, SEGMENTS, joined, tessellated
+from raygrid.host.export.tessellation import ROUND, SEGMENTS, joined, tessellated, upright
 from raygrid.host.render.machine_job import DEFAULT_SIZE
 from raygrid.host.scene.builder import plural
+from raygrid.host.scene.finish import Y_UP
 from raygrid.host.scene.formats.gltf_materials import shading
 from raygrid.host.scene.lights import exposure_point
 from raygrid.host.scene.scene import Scene
@@ -64,6 +65,7 @@ class _GltfWriter:
             self.remarks.append("the background is left out: the format has none")
         if self._extensions:
             self.json["extensionsUsed"] = sorted(self._extensions)
+        self._stand_upright()
         self.json["buffers"] = [{"byteLength": self._length}]
         text = json.dumps(self.json, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 4)
@@ -78,6 +80,17 @@ class _GltfWriter:
     def _node(self, **values: Any) -> None:
         self.json["scenes"][0]["nodes"].append(len(self.json["nodes"]))
         self.json["nodes"].append(values)
+
+    def _stand_upright(self) -> None:
+        """Put all nodes below one that turns them, unless y points up in the scene, as it does in the format."""
+        turn = upright(self.scene, Y_UP)
+        if turn is None:
+            return
+        root, nodes = self.json["scenes"][0], self.json["nodes"]
+        x, y, z = turn[0].T
+        nodes.append({"matrix": _matrix(x, y, -z, (0.0, 0.0, 0.0)), "children": root["nodes"]})
+        root["nodes"] = [len(nodes) - 1]
+        self.remarks.append(turn[1])
 
     # --- surfaces
 
@@ -102,6 +115,8 @@ class _GltfWriter:
         approximate = sum(1 for _, exact in made if not exact)
         if approximate:
             self.remarks.append(f"{plural(approximate, 'material')} brought near: the format has no such weights")
+        if scene.rules is not None:
+            self.remarks.append("rules of a program are left out: materials are as they are without one")
         self._node(mesh=0)
 
     def _primitive(self, corners: F64, normals: F64 | None) -> Json:

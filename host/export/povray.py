@@ -87,6 +87,8 @@ def _differences(scene: Scene, materials: MaterialWriter) -> Iterator[str]:
         yield f"raygrid takes {scene.samples} samples a pixel, POV-Ray one unless told otherwise (+A)."
     if scene.min_weight:
         yield "POV-Ray weighs faint rays in its own way before it drops them (adc_bailout)."
+    if scene.rules is not None:
+        yield "rules of a program are left out: materials are as they are without one."
     yield from materials.differences(scene.surfaces)
 
 

@@ -18,6 +18,7 @@ from raygrid.host.export.povray import export_pov
 from raygrid.host.files.input_guard import check_outputs, note, noted
 from raygrid.host.image.outputs import check_path, write_whole
 from raygrid.host.scene.animation.scene_frames import frame_told, still
+from raygrid.host.scene.finish import Y_UP, Z_UP
 from raygrid.host.scene.load import check_name, load_scene
 from raygrid.host.scene.scene import Scene
 from raygrid.host.scene.view import GivenView
@@ -94,11 +95,15 @@ def _by_trimesh(scene: Scene, suffix: str) -> tuple[bytes, list[str]]:
     """The triangles, in a .ply with their colours, as trimesh writes them, and what is not said there."""
     import trimesh
 
-    from raygrid.host.export.tessellation import joined, tessellated
+    from raygrid.host.export.tessellation import joined, tessellated, upright
+    from raygrid.host.scene.linear_algebra import product
     from raygrid.host.scene.textures import as_bytes
 
     parts = list(joined(tessellated(scene.surfaces, scene.name), len(scene.materials)))
     corners = np.concatenate([part for _, part, _ in parts])
+    turn = upright(scene, Z_UP if suffix == ".stl" else Y_UP)
+    if turn is not None:
+        corners = product(corners, turn[0].T)
     colours = None
     lost = "materials, camera and lights are left out: the format has none"
     if suffix == ".ply":
@@ -110,4 +115,4 @@ def _by_trimesh(scene: Scene, suffix: str) -> tuple[bytes, list[str]]:
     made: Any = trimesh.Trimesh(corners.reshape(-1, 3), faces, face_colors=colours, process=False).export(
         file_type=suffix[1:]
     )
-    return made.encode() if isinstance(made, str) else made, [lost]
+    return made.encode() if isinstance(made, str) else made, [lost, *([turn[1]] if turn is not None else [])]

@@ -8,7 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from raygrid.host.scene.cameras import Vector, nearest_axis, usual_front
+from raygrid.host.scene.linear_algebra import product
 from raygrid.host.scene.polygons import Ints, triangulate
+from raygrid.host.scene.scene import Scene
 from raygrid.node.errors import SceneError
 from raygrid.node.geometry import F64, AddedKind, Batch, Kind, SurfaceSet
 
@@ -109,6 +112,21 @@ def _side(row: F64) -> tuple[F64, F64]:
     normals = _strip(np.stack((slanted, slanted)))
     kept = np.linalg.norm(np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0]), axis=1) > 0.0
     return faces[kept], normals[kept]
+
+
+def upright(scene: Scene, up: Vector) -> tuple[F64, str] | None:
+    """The rotation, (3, 3), of 0, 1 and -1, by which a scene stands in a file as what reads that has it, and what to say of it.
+
+    up  the axis that points up there; what is the front as a rule (`cameras.usual_front`) stays it
+    Returns None if the scene stands so already: the axis nearest to what is up in it is that one.
+    """
+    own, wanted = nearest_axis(scene.up), nearest_axis(up)
+    if (own == wanted).all():
+        return None
+    frames = [np.stack((np.cross(axis, front := np.array(usual_front(axis))), axis, front)) for axis in (own, wanted)]
+    turn = np.asarray(product(frames[1].T, frames[0]) + 0.0)
+    names = [f"{'-' if axis.sum() < 0.0 else '+'}{'xyz'[int(np.argmax(np.abs(axis)))]}" for axis in (own, wanted)]
+    return turn, f"turned, as what is up is {names[0]} in the scene and {names[1]} in files of this kind"
 
 
 def joined(parts: list[TriangleSet], materials: int) -> Iterator[tuple[int, F64, NDArray[np.float64] | None]]:

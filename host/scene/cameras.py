@@ -139,6 +139,15 @@ def usual_front(up: ArrayLike) -> Vector:
     return _level(towards, upward)
 
 
+def nearest_axis(up: ArrayLike) -> NDArray[np.float64]:
+    """The axis of the world, x, y or z to one of its two sides, that is nearest to what is up: a unit vector, (3,)."""
+    above = np.asarray(up, np.float64)
+    axis = np.zeros(3)
+    nearest = int(np.argmax(np.abs(above)))
+    axis[nearest] = np.sign(above[nearest])
+    return axis
+
+
 def look_at_everything(bounds: ArrayLike, up: Vector = (0.0, 1.0, 0.0), front: Vector | None = None) -> Camera:
     """A three-quarter view from the front, the right and above that frames the whole box, (2, 3).
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from raygrid.host.scene.animation.motions import about, motion, moved_point, turned
-from raygrid.host.scene.cameras import Camera, Vector
+from raygrid.host.scene.cameras import Camera, Vector, nearest_axis
 from raygrid.host.scene.lights import exposure_point
 from raygrid.host.scene.pose import MAX_FRAMES, Animation, Pose
 from raygrid.host.scene.scene import Scene
@@ -33,17 +33,9 @@ def turntable(scene: Scene, frames: int, turn_scene: bool = False) -> Scene:
     chosen = every if turn_scene else every[:0]
     groups = make_groups(chosen, np.zeros(len(chosen), np.int64), int(turn_scene))
     table = _TurntableMotion(
-        scene, frames, turn_scene, _axis(scene.up), exposure_point(scene.camera, scene.surfaces.bounds())
+        scene, frames, turn_scene, nearest_axis(scene.up), exposure_point(scene.camera, scene.surfaces.bounds())
     )
     return replace(scene, shot=Animation(frames, (GROUP,) * int(turn_scene), groups, table.pose))
-
-
-def _axis(above: Vector) -> F64:
-    up = np.array(above)
-    axis = np.zeros(3)
-    nearest = int(np.argmax(np.abs(up)))
-    axis[nearest] = np.sign(up[nearest])
-    return axis
 
 
 @dataclass(frozen=True)
