@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, cast
 
@@ -17,6 +16,7 @@ from raygrid.host.cli.types import (
     PairType,
     SceneName,
     ShapeType,
+    debug_option,
     outside_option,
     path_option,
 )
@@ -192,7 +192,7 @@ def doctor(as_json: bool) -> None:
 # fmt: on
 
 
-def add_commands(group: click.Group, debug_option: Callable[[Command], Command]) -> None:
+def add_commands(group: click.Group) -> None:
     """Add the commands to a group."""
     for command in (trace, jam, probe, doctor):
         debug_option(command)

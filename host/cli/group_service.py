@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from typing import Any, cast
 
 import click
 from click.shell_completion import CompletionItem
 
-from raygrid.host.cli.types import AnyType, Command, FileName, FramesType, NumberType, SceneName, ShapeType, path_option
+from raygrid.host.cli.types import (
+    AnyType,
+    Command,
+    FileName,
+    FramesType,
+    NumberType,
+    SceneName,
+    ShapeType,
+    debug_option,
+    path_option,
+)
 from raygrid.host.render.given_settings import SETTINGS, GivenSettings
 from raygrid.host.text.bounds import MAX_JOB, MAX_PRIORITY, MOST_LISTED
 
@@ -245,10 +254,10 @@ def down(**options: Any) -> None:
 # fmt: on
 
 
-def add_commands(group: click.Group, render: click.Command, debug: Callable[[Command], Command]) -> None:
+def add_commands(group: click.Group, render: click.Command) -> None:
     """Add the commands to the command line. `render` has the options that a job has, too."""
     shared = [option for option in render.params if option.name in OF_RENDER]
     submit.params[2:2] = shared
     for command in (up, list_arrays, submit, wait, jobs, cancel, status, reset, down):
-        debug(command)
+        debug_option(command)
         group.add_command(command)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import click
 
-from raygrid.host.cli.types import Command, FileName, NumberType, PairType, ShapeType
+from raygrid.host.cli.types import FileName, NumberType, PairType, ShapeType, debug_option
 from raygrid.host.text.bounds import MAX_SAMPLES
 
 DEMO_EXAMPLES = """\b
@@ -99,7 +98,7 @@ def completion(shell: str) -> None:
 # fmt: on
 
 
-def add_commands(group: click.Group, debug_option: Callable[[Command], Command]) -> None:
+def add_commands(group: click.Group) -> None:
     """Add the commands to a group."""
     for command in (demo, schema, completion):
         debug_option(command)

@@ -259,9 +259,9 @@ def export(
 
 
 group_machine_time.add_commands(cli)
-group_service.add_commands(cli, render, debug_option)
-group_inspect.add_commands(cli, debug_option)
-group_start.add_commands(cli, debug_option)
+group_service.add_commands(cli, render)
+group_inspect.add_commands(cli)
+group_start.add_commands(cli)
 apply_conventions(cli)
 
 

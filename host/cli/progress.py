@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from raygrid.emulator.processes import KINDS, NOTE, kind_of
-from raygrid.host.render.progress import traced_part
+from raygrid.host.render.progress import PHASES, traced_part
 from raygrid.host.text.clean_text import printable
 from raygrid.host.text.tables import folded
 
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from raygrid.emulator.driver import Progress
     from raygrid.host.render.retry import FaultReport
 
-PHASES = {"load": "loading surfaces", "trace": "tracing", "collect": "collecting pixels"}
 LOAD_PROGRAM = "loading the program (compiled once), surfaces"  # half a minute and more for a new program
 
 

@@ -143,6 +143,14 @@ class FaultType(AnyType):
             self.fail(str(error), param, ctx)
 
 
+def read_number(word: str, read: Callable[[str], float] = float) -> float:
+    """The number that a word says; NaN for what is none, is longer than any number need be, or has what Python alone allows."""
+    try:
+        return read(word) if len(word) < 40 and word.isascii() and not set(word) & set("_ ") else math.nan
+    except ValueError:
+        return math.nan
+
+
 class NumberType(AnyType):
     """A number from `least` to `most`; whole if `least` is."""
 
@@ -154,12 +162,7 @@ class NumberType(AnyType):
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Raises a usage error for anything else, NaN too."""
         whole = isinstance(self._least, int)
-        read: Callable[[str], float] = int if whole else float
-        try:
-            plain = len(str(value)) < 40 and str(value).isascii() and not set(str(value)) & set("_ ")
-            number = read(str(value)) if plain else math.nan
-        except ValueError:
-            number = math.nan
+        number = read_number(str(value), int if whole else float)
         if not self._least <= number <= self._most:
             kind = "whole number" if whole else "number"
             self.fail(f"{shorten(value)} came, wanted a {kind} from {self._least} to {self._most}", param, ctx)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from raygrid.host.cli.types import AnyType, Command, NumberType, shorten
+from raygrid.host.cli.types import AnyType, Command, NumberType, read_number, shorten
 from raygrid.host.scene.view import CAMERA, FITS, LONGEST_NAME, MAX_NUMBER, MOST_CREASE, WIDEST
 
 Numbers = tuple[float, ...]
@@ -23,10 +23,13 @@ class NumbersType(AnyType):
         if isinstance(value, tuple):
             return value
         words = [word.strip() for word in str(value).split(",")]
-        row = [_number(word) for word in words]
-        if len(row) not in self._counts or None in row or any((number or 0.0) < 0.0 for number in row[self._bounded :]):
+        row = tuple(map(read_number, words))
+        sound = all(abs(number) <= MAX_NUMBER for number in row) and all(
+            number >= 0.0 for number in row[self._bounded :]
+        )
+        if len(row) not in self._counts or not sound:
             self.fail(f"{shorten(value)} came, wanted {self._wanted}", param, ctx)
-        return tuple(number for number in row if number is not None)
+        return row
 
 
 class CameraName(AnyType):
@@ -39,14 +42,6 @@ class CameraName(AnyType):
         if not 0 < len(str(value)) <= LONGEST_NAME:
             self.fail(f"{shorten(value)} came, wanted {CAMERA}", param, ctx)
         return str(value)
-
-
-def _number(word: str) -> float | None:
-    try:
-        number = float(word) if len(word) < 40 and word.isascii() and not set(word) & set("_ ") else None
-    except ValueError:
-        return None
-    return number if number is not None and abs(number) <= MAX_NUMBER else None
 
 
 def _angle(ctx: click.Context, param: click.Parameter, value: float | None) -> float | None:

@@ -56,15 +56,21 @@ def suffix_of(path: str | Path) -> str:
 
 def check_picture_path(path: str | Path) -> None:
     """Raise OutputError if a picture (or .npy) can surely not be written there: asked before the work, not after."""
+    if os.fspath(path) and not os.path.isdir(path):
+        check_format(path)
+    check_path(path)
+    if os.fspath(path) == STANDARD and _standard().isatty():
+        raise OutputError("-: standard output is a terminal, wanted a pipe or a file for a picture")
+
+
+def check_format(path: str | Path) -> None:
+    """Raise OutputError if the suffix names none of our formats, or one whose library is not there."""
     suffix = suffix_of(path)
-    if os.fspath(path) and not os.path.isdir(path) and suffix not in (SUMS, *RADIANCE, *FORMATS):
+    if suffix not in (SUMS, *RADIANCE, *FORMATS):
         came = f"the suffix {suffix!r}" if suffix else "no suffix"
         raise OutputMisuse(f"{path}: the output has {came}, wanted one of: {' '.join((*FORMATS, *RADIANCE, SUMS))}")
     if suffix == ".exr":
         check_exr(path)
-    check_path(path)
-    if os.fspath(path) == STANDARD and _standard().isatty():
-        raise OutputError("-: standard output is a terminal, wanted a pipe or a file for a picture")
 
 
 def check_exr(path: str | Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 import contextlib
+import functools
 import io
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -14,7 +15,16 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from raygrid.host.image.outputs import FORMATS, RADIANCE, SUMS, check_picture_path, check_side, suffix_of, write_whole
+from raygrid.host.image.outputs import (
+    FORMATS,
+    RADIANCE,
+    SUMS,
+    check_format,
+    check_picture_path,
+    check_side,
+    suffix_of,
+    write_whole,
+)
 from raygrid.host.image.transfer import TRANSFERS, to_bytes
 from raygrid.node.errors import OutputError
 from raygrid.node.tracing import UNIT
@@ -67,20 +77,13 @@ class Picture:
         Raises OutputError.
         """
         check_picture_path(path)
-        if suffix_of(path) == SUMS:
-            write_whole(path, self._write_sums)
-        elif suffix_of(path) in RADIANCE:
-            from raygrid.host.image.radiance import WRITERS
-
-            radiance, write = self.linear(), WRITERS[suffix_of(path)]
-            write_whole(path, lambda file: write(radiance, file))
-        else:
-            write_whole(path, self._encoder(path, transfer, texts))
+        write_whole(path, self._writer(path, transfer, texts))
 
     def encoded(self, path: str | Path, transfer: str = "srgb") -> memoryview:
-        """Encode the picture as `save` writes it under this name. Raises OutputError."""
+        """Encode the picture as `save` writes it under this name, whatever may be there. Raises OutputError."""
+        check_format(path)
         file = io.BytesIO()
-        self._encoder(path, transfer, None)(file)
+        self._writer(path, transfer, None)(file)
         return file.getbuffer()
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
@@ -102,11 +105,19 @@ class Picture:
         """The PNG that `save` writes: a notebook shows the picture."""
         return builtins.bytes(self.encoded("picture.png"))
 
-    def _encoder(self, path: str | Path, transfer: str, texts: Mapping[str, str] | None) -> Callable[[BinaryIO], None]:
+    def _writer(self, path: str | Path, transfer: str, texts: Mapping[str, str] | None) -> Callable[[BinaryIO], object]:
+        """What writes the format that the name chooses."""
+        suffix = suffix_of(path)
+        if suffix == SUMS:
+            return self._write_sums
+        if suffix in RADIANCE:
+            from raygrid.host.image.radiance import WRITERS
+
+            return functools.partial(WRITERS[suffix], self.linear())
         from PIL import Image
 
         check_side(path, self.sums.shape[1], self.sums.shape[0])
-        kind = FORMATS[suffix_of(path)]
+        kind = FORMATS[suffix]
         image = Image.fromarray(self.bytes(transfer))
         options = kind.options | ({"pnginfo": _png_texts(texts)} if texts and kind.name == "PNG" else {})
         return lambda file: image.save(file, kind.name, **options)

@@ -6,8 +6,8 @@ one exponent a pixel. How the bytes of displays are made (`--transfer`) does not
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
+import os
+import shutil
 from typing import BinaryIO
 
 import numpy as np
@@ -76,11 +76,12 @@ def write_exr(radiance: Radiance, file: BinaryIO) -> None:
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with tempfile.TemporaryDirectory() as folder:  # the library writes files by name only
-        name = str(Path(folder) / "picture.exr")
+    # The library writes files by name only: this one is in memory, and goes with the process, however that ends.
+    with os.fdopen(os.memfd_create("picture", os.MFD_CLOEXEC), "w+b") as memory:
         with OpenEXR.File(header, {"RGB": np.ascontiguousarray(radiance, np.float32)}) as made:
-            made.write(name)
-        file.write(Path(name).read_bytes())
+            made.write(f"/proc/self/fd/{memory.fileno()}")
+        memory.seek(0)
+        shutil.copyfileobj(memory, file)
 
 
 WRITERS = {".pfm": write_pfm, ".hdr": write_hdr, ".exr": write_exr}

@@ -17,7 +17,7 @@ Table = NDArray[np.void]
 
 NO_DISC = 2.0  # a cosine that no angle has: no ray sees the light
 
-# A light for a mesh without any comes from the viewer's upper left, one a quarter as strong from the right: shapes
+# A light for a mesh without any comes from the viewer's upper left, one a third as strong from the right: shapes
 # are told apart by the first, and what it leaves dark stays readable by the second.
 KEY, KEY_TOWARDS = 0.9, (-0.55, 0.75, -0.65)
 FILL, FILL_TOWARDS = 0.3, (0.85, 0.1, -0.5)

@@ -27,6 +27,12 @@ def lengths(vectors: F64) -> Any:
     return np.sqrt(dot(vectors, vectors))
 
 
+def units(vectors: F64) -> F64:
+    """The vectors made one long along the last axis; those without a length are 0."""
+    length = lengths(vectors)[..., None]
+    return np.asarray(np.where(length > 0.0, vectors / np.where(length > 0.0, length, 1.0), 0.0))
+
+
 def product(rows: F64, matrix: F64) -> F64:
     """Rows (..., n) times a matrix (n, m): (..., m)."""
     return np.stack([dot(rows, matrix[:, column]) for column in range(matrix.shape[1])], axis=-1)

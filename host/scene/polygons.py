@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.host.scene.ear_clipping import CONVEX, clip_ears
-from raygrid.host.scene.linear_algebra import dot, lengths
+from raygrid.host.scene.linear_algebra import dot, lengths, units
 from raygrid.node.geometry import F64
 
 Ints = NDArray[np.int64]
@@ -57,7 +57,7 @@ def planar_polygons(points: F64, starts: Ints, most: float | F64 = np.inf) -> Ma
     if len(starts) < 2:
         return np.zeros(0, np.bool_)
     sizes = np.diff(starts)
-    normals = _unit(area_vectors(points, starts))
+    normals = units(area_vectors(points, starts))
     middles = np.add.reduceat(points, starts[:-1], axis=0) / sizes[:, None]
     offsets = points - np.repeat(middles, sizes, axis=0)
     heights = np.abs(dot(offsets, np.repeat(normals, sizes, axis=0)))
@@ -77,7 +77,7 @@ def convex_polygons(points: F64, starts: Ints) -> Mask:
     if len(starts) < 2:
         return np.zeros(0, np.bool_)
     sizes = np.diff(starts)
-    normals = np.repeat(_unit(area_vectors(points, starts)), sizes, axis=0)
+    normals = np.repeat(units(area_vectors(points, starts)), sizes, axis=0)
     edges = points[_following(starts)] - points
     ahead = edges[_following(starts)]
     turn = dot(np.cross(edges, ahead), normals)
@@ -115,11 +115,6 @@ def _following(starts: Ints) -> Ints:
     following = np.arange(1, starts[-1] + 1)
     following[starts[1:] - 1] = starts[:-1]
     return following
-
-
-def _unit(vectors: F64) -> F64:
-    length = lengths(vectors)[:, None]
-    return np.asarray(vectors / np.where(length > 0.0, length, 1.0))
 
 
 def _clip_ears(points: F64) -> tuple[Ints, bool]:

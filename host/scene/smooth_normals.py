@@ -17,7 +17,7 @@ from contextvars import ContextVar
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.host.scene.linear_algebra import dot, lengths
+from raygrid.host.scene.linear_algebra import dot, lengths, units
 from raygrid.host.scene.polygons import Ints, Mask
 from raygrid.node.geometry import F64, rounded
 
@@ -79,7 +79,7 @@ def smooth_normals(corners: F64, crease: float) -> tuple[F64, Mask]:
     sums: F64 = np.stack(
         [np.bincount(groups, weighted[..., k].reshape(-1), 3 * len(corners)) for k in range(3)], axis=1
     )
-    means = _units(sums)[groups].reshape(-1, 3, 3)
+    means = units(sums)[groups].reshape(-1, 3, 3)
     cosines = dot(means, normals[:, None])
     means = np.where((cosines > TURNED)[..., None], means, normals[:, None])
     bent = lengths(means - normals[:, None]).max(axis=1) > EVEN
@@ -89,9 +89,9 @@ def smooth_normals(corners: F64, crease: float) -> tuple[F64, Mask]:
 def _measured(corners: F64) -> tuple[F64, F64]:
     """Unit normals of triangles, (n, 3), zero without an area, and their angles in radians, (n, 3)."""
     edges = corners[:, (1, 2, 0)] - corners
-    normals = _units(np.cross(edges[:, 0], edges[:, 1]))
-    units = _units(edges)
-    cosines = -dot(units, units[:, (2, 0, 1)])
+    normals = units(np.cross(edges[:, 0], edges[:, 1]))
+    sides = units(edges)
+    cosines = -dot(sides, sides[:, (2, 0, 1)])
     has_area = np.any(normals != 0.0, axis=1)
     return normals, _angles(np.clip(cosines, -1.0, 1.0)) * has_area[:, None]
 
@@ -104,11 +104,6 @@ def _angles(cosines: F64) -> F64:
         series = series * size + coefficient
     angles = np.sqrt(1.0 - size) * series
     return np.asarray(np.where(cosines < 0.0, math.pi - angles, angles))
-
-
-def _units(vectors: F64) -> F64:
-    length = lengths(vectors)[..., None]
-    return np.asarray(np.where(length > 0.0, vectors / np.where(length > 0.0, length, 1.0), 0.0))
 
 
 def _places(corners: F64) -> Ints:

@@ -1,7 +1,7 @@
 """Bounds of what users may ask for, as plain numbers, so that what reads options and requests is light to import.
 
 Those that the machine has of itself stand where it keeps them, too (`node.protocol`, `node.runtime.probe`, `host.render`,
-`host.scene.animation`): tests/host/text/test_bounds.py holds them to be the same.
+`host.scene.pose`): tests/host/text/test_bounds.py holds them to be the same.
 """
 
 MAX_SIDE = 65_536  # pixels

@@ -132,7 +132,8 @@ def _not_kept(cache: CacheFacts | None) -> Iterator[str]:
 def _no_films(places: LocationFacts) -> Iterator[str]:
     """What keeps frames from being put together, and what helps."""
     if places["temporary"] is None:
-        yield "no temporary directory can be written, and .gif, .webp and .mp4 of several frames need one: set TMPDIR"
+        needed = ".gif, .webp and .mp4 of several frames and pictures that an array gives back to Python need one"
+        yield f"no temporary directory can be written, and {needed}: set TMPDIR"
 
 
 # --- text --------------------------------------------------------------------------------------------

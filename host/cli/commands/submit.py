@@ -8,7 +8,7 @@ import os
 from dataclasses import dataclass, replace
 from typing import Any
 
-from raygrid.host.cli.progress import PHASES, ProgressReporter
+from raygrid.host.cli.progress import ProgressReporter
 from raygrid.host.client.connection import NO_JOB, Connection, EventListener
 from raygrid.host.client.facts import ENDED
 from raygrid.host.client.service_files import find
@@ -18,6 +18,7 @@ from raygrid.host.image.frames import Ends, FrameNames, default_outputs, frames_
 from raygrid.host.image.moving_pictures import check_played
 from raygrid.host.image.outputs import check_named, check_picture_path, write_result
 from raygrid.host.render.given_settings import parted
+from raygrid.host.render.progress import PHASES
 from raygrid.host.scene.load import check_name, check_program_name
 from raygrid.host.scene.view import view_of
 from raygrid.host.text.misuse import OutputMisuse

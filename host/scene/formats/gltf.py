@@ -3,7 +3,8 @@
 The document is read here and not by trimesh, which (in 5.2) leaves the parents' scale out of cameras, makes up its own
 lights and drops transmission.
 
-Axes are glTF's: right-handed, y up. Materials: `gltf_materials`. The first camera in the node tree is used.
+Axes are glTF's: right-handed, y up. Materials: `gltf_materials`. The first camera in the node tree is used, unless
+another is chosen.
 
 Exposure: lights come in candela and lux, which say how bright a scene is but not how it is to be photographed (an
 ordinary lamp out of Blender is 32,610 cd). All intensities are divided by one number, so that the brightest light gives

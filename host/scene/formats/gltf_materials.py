@@ -40,6 +40,38 @@ class GltfMaterial:
     coordinates: str = "TEXCOORD_0"
 
 
+@dataclass(frozen=True)
+class GltfNumbers:
+    """What a material says in numbers, wherever they stand.
+
+    base          linear colour and coverage, (4,)
+    metal, rough  factors of the means of `mixed`, the texture of both, if there is one
+    blends        whether coverage counts
+    passing, ior  transmission, and the index of refraction
+    """
+
+    base: F64
+    metal: float
+    rough: float
+    mixed: Texture | None = None
+    blends: bool = False
+    passing: float = 0.0
+    ior: float = 1.5
+
+    def row(self, name: str, glows: bool, remarks: list[str], extra: JsonObject) -> Table:
+        """The row of the module's table, with remarks on what is left out; `extra` as `shading` has it."""
+        metal, rough, passing, ior = self.metal, self.rough, self.passing, self.ior
+        if self.mixed is not None:
+            mean = self.mixed.texels.reshape(-1, 3).mean(axis=0) / 255.0
+            rough, metal = rough * float(mean[1]), metal * float(mean[2])
+            remarks.append(f"{name}: one metal and one roughness used, the mean of their texture")
+        if glows:
+            remarks.append(f"{name}: its own light left out")
+        if self.blends and self.base[3] < 1.0 and passing == 0.0:
+            passing, ior = 1.0 - float(self.base[3]), 1.0  # mere coverage does not bend light
+        return shading(self.base[:3], metal, rough, passing, ior, extra)
+
+
 PLAIN = GltfMaterial(GREY)  # the format's own default, a rough white metal, is meant by no file that leaves it out
 
 
@@ -65,20 +97,14 @@ class Materials:
         pbr, extensions = row.get("pbrMetallicRoughness", {}), row.get("extensions", {})
         base = np.array(pbr.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0)), np.float64)
         metal, rough = float(pbr.get("metallicFactor", 1.0)), float(pbr.get("roughnessFactor", 1.0))
-        if "metallicRoughnessTexture" in pbr:
-            texture, _ = self._texture(pbr["metallicRoughnessTexture"])
-            mean = texture.texels.reshape(-1, 3).mean(axis=0) / 255.0
-            rough, metal = rough * float(mean[1]), metal * float(mean[2])
-            self._remarks.append(f"{name}: one metal and one roughness used, the mean of their texture")
+        mixed = self._texture(pbr["metallicRoughnessTexture"])[0] if "metallicRoughnessTexture" in pbr else None
         passing = float(extensions.get("KHR_materials_transmission", {}).get("transmissionFactor", 0.0))
         ior = float(extensions.get("KHR_materials_ior", {}).get("ior", 1.5))
-        if row.get("alphaMode") == "BLEND" and base[3] < 1.0 and passing == 0.0:
-            passing, ior = 1.0 - float(base[3]), 1.0  # mere coverage does not bend light
-        if any(row.get("emissiveFactor", ())) or "KHR_materials_unlit" in extensions:
-            self._remarks.append(f"{name}: its own light left out")
         if passing > 0.0 and ior > 0.0 and not LEAST_IOR <= ior <= MOST_IOR:
             raise self._document.error(f"{name} has the index of refraction {ior:g}, wanted {IORS}")
-        shaded = shading(base[:3], metal, rough, passing, ior, extensions.get("KHR_materials_specular", {}))
+        numbers = GltfNumbers(base, metal, rough, mixed, row.get("alphaMode") == "BLEND", passing, ior)
+        glows = any(row.get("emissiveFactor", ())) or "KHR_materials_unlit" in extensions
+        shaded = numbers.row(name, glows, self._remarks, extensions.get("KHR_materials_specular", {}))
         if "baseColorTexture" not in pbr:
             return GltfMaterial(shaded)
         texture, coordinates = self._texture(pbr["baseColorTexture"])

@@ -25,6 +25,7 @@ from raygrid.node.errors import SceneError
 from raygrid.node.geometry import F64
 
 STL_HEADER, STL_FACET = 84, 50  # bytes of a binary STL
+UNHEARD = logging.NullHandler()  # of what trimesh has to say: it is checked here; a logger takes a handler once
 
 
 def load_obj(path: Path) -> Scene:
@@ -51,7 +52,7 @@ def load_stl(path: Path) -> Scene:
 
     data = read_bytes(path)
     _check_stl(path, data)
-    logging.getLogger("trimesh").addHandler(logging.NullHandler())  # what it has to say is checked here
+    logging.getLogger("trimesh").addHandler(UNHEARD)
     try:
         # As a scene: a file with several solids keeps them all.
         geometry = trimesh.load_scene(io.BytesIO(data), file_type="stl", process=False).geometry.values()

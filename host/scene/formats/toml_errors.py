@@ -22,15 +22,19 @@ LONGEST_LINE = 500  # that is looked at: the header of blanks alone takes time b
 ASSIGNMENT = re.compile(r"\s*([\w.-]+|\"[^\"]*\")\s*=")
 
 
-def checked(path: Path, text: str, tables: dict[str, object]) -> SceneFile:
-    """The tables of a file as a SceneFile; raises SceneError for the first fault. `text` is for the line number."""
+def checked(path: Path, text: str, tables: dict[str, object], number: int = 0) -> SceneFile:
+    """The tables of a file as a SceneFile; raises SceneError for the first fault.
+
+    text    for the line number
+    number  what the first table of a list is called there
+    """
     try:
         return SceneFile.model_validate(tables)
     except ValidationError as error:
         faults = error.errors(include_url=False)
     # A misspelt key is also a missing one: the first says more.
     unknown = [fault for fault in faults if fault["type"] == "extra_forbidden"]
-    raise SceneError(_sentence(path, text, tables, (unknown or faults)[0]))
+    raise SceneError(_sentence(path, text, tables, (unknown or faults)[0], number))
 
 
 def check_item(where: str, tables: dict[str, object], number: int = 0) -> SceneFile:
@@ -38,15 +42,10 @@ def check_item(where: str, tables: dict[str, object], number: int = 0) -> SceneF
 
     number  what the table is called in its list, if it is in one
     """
-    try:
-        return SceneFile.model_validate(tables)
-    except ValidationError as error:
-        faults = error.errors(include_url=False)
-        unknown = [fault for fault in faults if fault["type"] == "extra_forbidden"]
-        raise SceneError(_sentence(Path(where), "", tables, (unknown or faults)[0], number)) from None
+    return checked(Path(where), "", tables, number)
 
 
-def _sentence(path: Path, text: str, tables: dict[str, object], fault: ErrorDetails, number: int = 0) -> str:
+def _sentence(path: Path, text: str, tables: dict[str, object], fault: ErrorDetails, number: int) -> str:
     key, tag = _without_tags(fault["loc"], tables)
     if number and len(key) > 1 and key[1] == 0:
         key = (key[0], number, *key[2:])

@@ -18,7 +18,7 @@ from raygrid.host.scene.builder import MAX_COORDINATE, SceneBuilder, Table, plur
 from raygrid.host.scene.cameras import Camera, perspective_camera
 from raygrid.host.scene.file_access import take_texels
 from raygrid.host.scene.finish import finish_scene
-from raygrid.host.scene.formats.gltf_materials import TINTED, shading
+from raygrid.host.scene.formats.gltf_materials import TINTED, GltfNumbers
 from raygrid.host.scene.formats.mtl import GREY, STATEMENTS, WHITE, mtl_material
 from raygrid.host.scene.polygons import Ints
 from raygrid.host.scene.scene import Scene
@@ -145,20 +145,16 @@ class _TrimeshReader:
 
     def _physical(self, material: Any, where: str) -> Table:
         """The row of the glTF material of these numbers; what is not given has the value that it has there."""
-        name = f"material {material.name}"
         base = np.ones(4)
         if material.baseColorFactor is not None:
             base = np.asarray(material.baseColorFactor, np.float64) / 255.0
         metal = 1.0 if material.metallicFactor is None else float(material.metallicFactor)
         rough = 1.0 if material.roughnessFactor is None else float(material.roughnessFactor)
-        if material.metallicRoughnessTexture is not None:
-            mean = self._texture(material.metallicRoughnessTexture, where).texels.reshape(-1, 3).mean(axis=0) / 255.0
-            rough, metal = rough * float(mean[1]), metal * float(mean[2])
-            self.builder.remarks.append(f"{name}: one metal and one roughness used, the mean of their texture")
-        if material.emissiveFactor is not None and np.any(material.emissiveFactor):
-            self.builder.remarks.append(f"{name}: its own light left out")
-        clear = 1.0 - float(base[3]) if material.alphaMode == "BLEND" else 0.0
-        return shading(base[:3], metal, rough, clear, 1.0 if clear else 1.5, {})  # mere coverage does not bend light
+        picture = material.metallicRoughnessTexture
+        mixed = None if picture is None else self._texture(picture, where)
+        glows = material.emissiveFactor is not None and bool(np.any(material.emissiveFactor))
+        numbers = GltfNumbers(base, metal, rough, mixed, material.alphaMode == "BLEND")
+        return numbers.row(f"material {material.name}", glows, self.builder.remarks, {})
 
     def _texture(self, picture: Any, where: str) -> Texture:
         if id(picture) not in self._pictures:

@@ -5,6 +5,7 @@ import pytest
 from PIL import Image
 
 from raygrid.host.image import picture as module
+from raygrid.host.image.outputs import FORMATS, RADIANCE, SUMS
 from raygrid.host.image.picture import Encoder, Picture
 from raygrid.node.errors import OutputError
 from raygrid.node.tracing.framebuffer import UNIT
@@ -35,6 +36,20 @@ def test_several_files(tmp_path):
         encoding.save(path)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "c.png").read_bytes()
     np.testing.assert_array_equal(np.load(tmp_path / "b.npy"), some_picture().sums)
+
+
+@pytest.mark.parametrize("suffix", [*FORMATS, *RADIANCE, SUMS])
+def test_what_is_encoded_is_what_is_saved(tmp_path, suffix):
+    """A KeyError came for radiance and sums."""
+    if suffix == ".exr":
+        pytest.importorskip("OpenEXR")
+    some_picture().save(tmp_path / f"a{suffix}")
+    assert bytes(some_picture().encoded(f"a{suffix}")) == (tmp_path / f"a{suffix}").read_bytes()
+
+
+def test_what_is_no_format_is_not_encoded():
+    with pytest.raises(OutputError, match=r"a.xyz: the output has the suffix '.xyz', wanted one of: .png"):
+        some_picture().encoded("a.xyz")
 
 
 def test_errors_come_from_saving(tmp_path):

@@ -2,6 +2,7 @@
 
 import io
 import re
+import tempfile
 
 import numpy as np
 import pytest
@@ -88,8 +89,10 @@ def test_runs_and_all_else_come_back(values):
     assert read == values
 
 
-def test_an_exr_has_the_radiance(tmp_path):
+def test_an_exr_has_the_radiance_and_needs_no_temporary_directory(tmp_path, monkeypatch):
+    """It needed one, and left it there if it was killed."""
     openexr = pytest.importorskip("OpenEXR")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))
     made = picture()
     made.save(tmp_path / "a.exr")
     with openexr.File(str(tmp_path / "a.exr")) as file:

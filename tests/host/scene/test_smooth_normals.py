@@ -48,10 +48,14 @@ def test_what_shares_an_edge_with_two_others_stays_flat_there():
 
 
 def test_faces_without_area_and_turned_ones_harm_nobody():
-    corners = corners_of(trimesh.creation.icosphere(2))
-    corners = np.concatenate((corners, corners[:1, (0, 0, 1)], corners[5:6, ::-1] + 0.0))
+    clean = corners_of(trimesh.creation.icosphere(2))
+    corners = np.concatenate((clean, clean[:1, (0, 0, 1)], clean[5:6, ::-1] + 0.0))
     normals, _ = smooth_normals(corners, CREASE)
     assert np.isfinite(normals).all()
+    shared = np.concatenate((clean[0, :2], clean[5]))  # corners of the edge and the triangle that came twice
+    apart = ~(clean[:, :, None] == shared).all(axis=3).any(axis=(1, 2))
+    assert apart.sum() > 250
+    assert np.abs(normals[:-2][apart] - smooth_normals(clean, CREASE)[0][apart]).max() < 1e-12
 
 
 @pytest.mark.parametrize("scale", [1e-30, 1e30])

@@ -1,6 +1,7 @@
 """Meshes: OBJ with MTL, PLY and STL, written here or read from the shared ones; what is kept and what is refused."""
 
 import io
+import logging
 import struct
 
 import numpy as np
@@ -300,6 +301,14 @@ def test_stl_flat_and_z_up(tmp_path, write):
     scene = scene_of(tmp_path, "x.stl", write(FACETS))
     assert np.array_equal(corners(scene), FACETS)
     assert scene.camera.up[2] > 0.8
+
+
+def test_files_of_stl_leave_one_handler_at_trimesh(tmp_path):
+    """It failed: each added one."""
+    scene_of(tmp_path, "x.stl", binary_stl(FACETS))
+    before = list(logging.getLogger("trimesh").handlers)
+    scene_of(tmp_path, "x.stl", binary_stl(FACETS))
+    assert logging.getLogger("trimesh").handlers == before
 
 
 STL_ERRORS = {
