@@ -1,7 +1,8 @@
 """Builds scenes in memory, `raygrid.Scene`: what a scene file can say, said by calls, with meshes as arrays.
 
-Every call is checked by the models of the scene file (`toml_schema`) as it is made, and the whole is read by the reader of
-scene files. So `save` writes a scene file of which the same bits come.
+Left to files are what is taken from other files, triangles by themselves, and what programs need. Every call is checked by
+the models of the scene file (`toml_schema`) as it is made, and the whole is read by the reader of scene files. So `save`
+writes a scene file of which the same bits come.
 """
 
 from __future__ import annotations
