@@ -7,7 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from raygrid.host.scene.cameras import Span, look_at_everything, nff_camera, orthographic_camera, perspective_camera
+from raygrid.host.scene.cameras import (
+    Span,
+    look_at_everything,
+    nearest_axis,
+    nff_camera,
+    orthographic_camera,
+    perspective_camera,
+)
 from raygrid.node.errors import SceneError
 
 coordinates = st.floats(-100, 100).map(lambda x: round(x, 3))
@@ -135,3 +142,10 @@ def test_impossible_heights_are_refused(height):
 def test_a_picture_must_have_pixels():
     with pytest.raises(SceneError, match="the picture is 0 x 5 pixels"):
         nff_camera((0, 0, 5), (0, 0, 1), (0, 1, 0), 45).table(0, 5)
+
+
+@pytest.mark.parametrize(
+    ("up", "axis"), [((0.0, 0.1, 0.0), (0, 1, 0)), ((0.5, 0.2, -0.6), (0, 0, -1)), ((-9.0, 2.0, 8.0), (-1, 0, 0))]
+)
+def test_the_axis_nearest_to_what_is_up(up, axis):
+    assert nearest_axis(up).tolist() == list(axis)

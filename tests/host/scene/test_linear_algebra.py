@@ -13,6 +13,7 @@ from raygrid.host.scene.linear_algebra import (
     inverse,
     lengths,
     product,
+    units,
 )
 
 GENERATOR = np.random.default_rng(17)
@@ -70,3 +71,12 @@ def test_an_affine_inverse_takes_points_back():
     matrix[:3] = GENERATOR.normal(size=(3, 4))
     assert np.allclose(product(affine_inverse(matrix), matrix), np.eye(4), atol=1e-12)
     assert affine_inverse(matrix)[3].tolist() == [0.0, 0.0, 0.0, 1.0]
+
+
+def test_units_have_the_length_one_and_what_has_none_is_zero():
+    rows = np.concatenate((GENERATOR.normal(size=(20, 3)), np.zeros((1, 3)), np.full((1, 3), 1e-200)))
+    made = units(rows)
+    assert np.allclose(lengths(made[:20]), 1.0, rtol=1e-15)
+    assert np.allclose(np.cross(made, rows), 0.0, atol=1e-15)
+    assert not made[20:].any()
+    assert units(rows.reshape(11, 2, 3)).reshape(22, 3).tolist() == made.tolist()
