@@ -75,7 +75,7 @@ class CellWork:
     busy      int64 (cells, GROUPS, lists), ticks of work; pixels are dealt to groups row by row and column by column
     sent      int64 (cells, PORTS), packets by each port
     born      int64 (cells,), samples that begin there
-    longest, mean   float64 (lists,): ticks of a sample that meets no other, the longest and the mean
+    longest   float64 (lists,): ticks of the longest sample, if it meets no other
     counts    int64 (COUNTS,), as of the ray step
     steps     packets served
     """
@@ -86,7 +86,6 @@ class CellWork:
     sent: Long
     born: Long
     longest: NDArray[np.float64]
-    mean: NDArray[np.float64]
     counts: Long
     steps: int
 
@@ -148,7 +147,6 @@ def _counted(holding: Holding, few: Frame, frame: Frame, prices: PriceLists) -> 
         np.zeros((holding.cells, PORTS), np.int64),
         np.zeros(holding.cells, np.int64),
         np.zeros(lists, np.int64),
-        np.zeros(lists, np.int64),
         np.zeros(COUNTS, np.int64),
         np.zeros(1, np.int64),
     )
@@ -160,10 +158,15 @@ def _counted(holding: Holding, few: Frame, frame: Frame, prices: PriceLists) -> 
             counts, times,
         )
     )  # fmt: skip
-    born = max(int(work.born.sum()), 1)
     work.counts[BORN + PRIMARY] = int(work.born.sum())
     share = frame.width * frame.height * frame.samples / samples
     return CellWork(
-        share, samples, work.busy, work.sent, work.born, work.longest.astype(np.float64), work.together / born,
-        work.counts, int(work.steps[0]),
-    )  # fmt: skip
+        share,
+        samples,
+        work.busy,
+        work.sent,
+        work.born,
+        work.longest.astype(np.float64),
+        work.counts,
+        int(work.steps[0]),
+    )

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
-from support.timed import job_of
+from support.timed import job_of, rays_to_a_wall
 
 from raygrid.emulator.simulator import simulator
 from raygrid.emulator.simulator.work_count import (
@@ -53,21 +52,19 @@ def test_whole_frames_cost_each_cell_what_the_simulator_has_it_do(name, shape, s
     assert work.steps == phase.column("served").sum() - work.born.sum()  # rays that are born are no packets served
 
 
-def test_the_model_of_a_holding_is_that_of_the_simulator():
-    job = job_of("kinds.nff", (3, 3, 3), (20, 20))
-    ours = hold(job.space, job.surfaces, "tree").model(job.frame)
-    whole = simulator.make_model(job.space, job.surfaces, job.frame, "tree")
-    for name in ("held", "roots", "samples", "borders"):
-        assert np.array_equal(getattr(ours, name), getattr(whole, name))
-
-
-def test_a_sample_alone_takes_as_long_as_in_the_simulator():
-    """One pixel on an array of one: nobody meets anybody, so the longest sample is the frame."""
-    job = job_of("tiny.nff", (1, 1, 1), (1, 1))
-    holding, prices, walks, work = counted(job, "list", costs=("8086",))
-    phase, _ = simulator.trace(holding.model(job.frame), prices[0], walks[0])
-    assert 0 < work.longest[0] <= phase.ticks
-    assert work.mean[0] == work.longest[0]
+@pytest.mark.parametrize("cells", [1, 2, 7])
+def test_a_sample_alone_takes_as_long_as_in_the_simulator(cells):
+    """One ray that brings nothing home meets nobody, so the longest sample is the frame."""
+    space, surfaces, frame = rays_to_a_wall((cells, 1, 1), 1)
+    holding = hold(space, surfaces, "list")
+    models = [load_cost_model(name) for name in COSTS]
+    prices = [model.prices("middle", "list") for model in models]
+    walks = [model.list_ticks("middle", "list", holding.held) for model in models]
+    work = count_cell_work(holding, frame, price_lists(prices, walks), 1)
+    assert work.steps == cells
+    for row in range(len(COSTS)):
+        phase, _ = simulator.trace(holding.model(frame), prices[row], walks[row])
+        assert work.longest[row] == phase.ticks > 0
 
 
 def test_fewer_pixels_have_a_share_and_about_the_same_work():
