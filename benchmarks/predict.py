@@ -69,7 +69,7 @@ def compare(scene: Scene, array: str, cost: CostModel, search: str, settings: di
     job = still_job(scene, parse_shape(array), Settings(**settings))
     model = make_model(job.space, job.surfaces, job.frame, search)
     prices = cost.prices("middle", search)
-    phase, pixels = trace(model, prices, cost.list_ticks("middle", search, model.held))
+    phase, pixels = trace(model, prices, cost.list_ticks("middle", search, model.holding.held))
     out = read_out(model, prices, pixels)
     description = cost.file.ticks.description[LEVELS.index("middle")]
     set_up = flood(job.space, ordered(job.surfaces), prices, description)

@@ -16,9 +16,7 @@ from numpy.typing import NDArray
 
 from raygrid.emulator.partition.sampling_prepass import coarse_frame
 from raygrid.emulator.simulator.kernels import find_homes
-from raygrid.emulator.simulator.sample_order import order_of_samples
-from raygrid.emulator.simulator.shared_tables import SharedGeometry, one_hierarchy, ordered, shared_geometry, trees
-from raygrid.emulator.simulator.simulator import Model, whole_picture
+from raygrid.emulator.simulator.simulator import Holding, whole_picture
 from raygrid.emulator.simulator.work_kernels import (
     GROUPS,
     TICKS,
@@ -30,7 +28,7 @@ from raygrid.emulator.simulator.work_kernels import (
     follow_samples,
 )
 from raygrid.emulator.topology.limits import check_simulated_fits
-from raygrid.node.geometry import DEPTH, PORTS, Space, Surfaces, SurfaceSet
+from raygrid.node.geometry import DEPTH, PORTS
 from raygrid.node.protocol import BORN, COUNTS, PRIMARY, SIZE, Frame, Prices
 from raygrid.node.tracing import make_outputs
 
@@ -39,31 +37,6 @@ FIRST_ACROSS = 24  # pixels along a side of the picture that tells how many step
 LEAST_ACROSS, MOST_ACROSS = 16, 1024  # and of any
 LIST_BYTES = 8 * (GROUPS + 1)  # of a cell and a price list
 CELL_BYTES = 8 * PORTS + 8 + 64 + 128  # of a cell, whatever it holds
-
-
-@dataclass(frozen=True)
-class Holding:
-    """What the cells of an array hold, ready for pictures of any size.
-
-    held     int64 (cells, 6): surfaces of each kind
-    surfaces, roots   tables, and rows of the hierarchy of each cell
-    """
-
-    space: Space
-    held: Long
-    surfaces: Surfaces
-    roots: Long
-    search: str
-
-    @property
-    def cells(self) -> int:
-        """How many processors the array has."""
-        return len(self.held)
-
-    def model(self, frame: Frame) -> Model:
-        """A frame on this array, to be simulated."""
-        samples, borders = order_of_samples(frame, self.space)
-        return Model(self.space, frame, self.held, self.surfaces, self.roots, samples, borders, self.search)
 
 
 @dataclass(frozen=True)
@@ -95,14 +68,6 @@ def check_count_fits(shape: tuple[int, int, int], lists: int) -> None:
     check_simulated_fits(
         shape, MOST_ACROSS**2, bytes_per_node=CELL_BYTES + lists * LIST_BYTES, fixed_bytes=64 * MOST_ACROSS**2
     )
-
-
-def hold(space: Space, surfaces: SurfaceSet, search: str) -> Holding:
-    """Work out what each cell holds; with `tree` each has the hierarchy that its node would build."""
-    sorted_surfaces = ordered(surfaces)
-    held: SharedGeometry = shared_geometry(sorted_surfaces, space)
-    tables, roots = (trees if search == "tree" else one_hierarchy)(sorted_surfaces, space, held)
-    return Holding(space, held.held, tables, roots, search)
 
 
 def price_lists(prices: Sequence[Prices], walks: Sequence[Long]) -> PriceLists:

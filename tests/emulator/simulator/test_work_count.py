@@ -6,12 +6,12 @@ import pytest
 from support.timed import job_of, rays_to_a_wall
 
 from raygrid.emulator.simulator import simulator
+from raygrid.emulator.simulator.simulator import hold
 from raygrid.emulator.simulator.work_count import (
     LEAST_ACROSS,
     check_count_fits,
     count_cell_work,
     few_pixels,
-    hold,
     price_lists,
     steps_of_a_sample,
 )
