@@ -153,8 +153,13 @@ def check_room(shape: tuple[int, int, int], frame: Frame, kept_phases: int) -> N
         shape,
         samples,
         bytes_per_node=NODE_BYTES + kept_phases * CLOCK_BYTES,
-        fixed_bytes=samples * SAMPLE_BYTES + pixels * PIXEL_BYTES + 2 * FIRST_ROOM * RECORD_BYTES,
+        fixed_bytes=bytes_of_a_picture(pixels, samples),
     )
+
+
+def bytes_of_a_picture(pixels: int, samples: int) -> int:
+    """Count what simulating a picture takes, whatever the number of nodes: its sums, who emits what, packets in flight."""
+    return samples * SAMPLE_BYTES + pixels * PIXEL_BYTES + 2 * FIRST_ROOM * RECORD_BYTES
 
 
 def whole_picture(frame: Frame) -> Pixels:

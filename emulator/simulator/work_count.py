@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 
 from raygrid.emulator.partition.sampling_prepass import coarse_frame
 from raygrid.emulator.simulator.kernels import find_homes
-from raygrid.emulator.simulator.simulator import Holding, whole_picture
+from raygrid.emulator.simulator.simulator import (
+    CLOCK_BYTES,
+    NODE_BYTES,
+    Holding,
+    bytes_of_a_picture,
+    whole_picture,
+)
 from raygrid.emulator.simulator.work_kernels import (
     GROUPS,
     TICKS,
@@ -35,8 +41,8 @@ from raygrid.node.tracing import make_outputs
 Long = NDArray[np.int64]
 FIRST_ACROSS = 24  # pixels along a side of the picture that tells how many steps a sample takes
 LEAST_ACROSS, MOST_ACROSS = 16, 1024  # and of any
-LIST_BYTES = 8 * (GROUPS + 1)  # of a cell and a price list
-CELL_BYTES = 8 * PORTS + 8 + 64 + 128  # of a cell, whatever it holds
+LIST_BYTES = 8 * (GROUPS + 2)  # of a cell and a price list: ticks of each group, and what a walk costs, twice
+CELL_BYTES = 8 * PORTS + 8 + NODE_BYTES + CLOCK_BYTES  # of a cell, whatever it holds; it is simulated, too
 
 
 @dataclass(frozen=True)
@@ -64,9 +70,13 @@ class CellWork:
 
 
 def check_count_fits(shape: tuple[int, int, int], lists: int) -> None:
-    """Raise TooLarge for an array that this computer has no memory for."""
+    """Raise TooLarge for an array that this computer has no memory for.
+
+    lists   price lists that are counted for; one of them is simulated, one phase at a time, while the counts are kept
+    """
+    most = MOST_ACROSS**2
     check_simulated_fits(
-        shape, MOST_ACROSS**2, bytes_per_node=CELL_BYTES + lists * LIST_BYTES, fixed_bytes=64 * MOST_ACROSS**2
+        shape, most, bytes_per_node=CELL_BYTES + lists * LIST_BYTES, fixed_bytes=bytes_of_a_picture(most, most)
     )
 
 
@@ -90,8 +100,9 @@ def few_pixels(frame: Frame, samples: float, least: int = LEAST_ACROSS) -> Frame
     """The same view with about so many pixels of a sample each; the frame itself if it has no more samples than that.
 
     least   pixels along a side that there are at least, if the frame has them
+    Never more samples than MOST_ACROSS along both sides, however many are asked for: for so many there is memory.
     """
-    if frame.width * frame.height * frame.samples <= samples:
+    if frame.width * frame.height * frame.samples <= min(samples, MOST_ACROSS**2):
         return frame
     return coarse_frame(frame, int(min(max(math.sqrt(samples), least), MOST_ACROSS)))
 

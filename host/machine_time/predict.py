@@ -20,6 +20,7 @@ from raygrid.emulator.simulator import (
     LEAST_ACROSS,
     CellWork,
     Holding,
+    Model,
     check_count_fits,
     count_cell_work,
     few_pixels,
@@ -228,18 +229,21 @@ class _Picture(NamedTuple):
 
 def _simulated(job: Job, holding: Holding, priced: tuple[Prices, Long], samples: float) -> list[_Picture]:
     """Simulate the smaller and the larger picture; the frame itself, and no other, if it is no larger."""
-    every, found = job.pixels * job.frame.samples, []
-    sides = [(samples, LEAST_ACROSS)]
-    if samples < every:
-        sides.insert(0, (samples / SMALLER, LEAST_ACROSS // 2))
-    for count, least in sides:
-        few = few_pixels(job.frame, count, least)
-        model = holding.model(few)
-        phase, pixels = trace(model, *priced)
-        out = read_out(model, priced[0], pixels).host
-        share = every / (few.width * few.height * few.samples)
-        found.append(_Picture(share, phase.ticks, float(phase.column("busy").max()), few.width * few.height, out))
-    return found
+    frames = [few_pixels(job.frame, samples)]
+    if frames[0] is not job.frame:
+        frames.insert(0, few_pixels(job.frame, samples / SMALLER, LEAST_ACROSS // 2))
+    return [_picture(job, holding.model(frame), priced) for frame in frames]
+
+
+def _picture(job: Job, model: Model, priced: tuple[Prices, Long]) -> _Picture:
+    """Simulate one picture of the frame and its read-out. The clocks of one phase are kept at a time: they are large."""
+    phase, pixels = trace(model, *priced)
+    ticks, busiest = phase.ticks, float(phase.column("busy").max())
+    del phase
+    out = read_out(model, priced[0], pixels).host
+    few = model.frame.width * model.frame.height
+    share = job.pixels * job.frame.samples / (few * model.frame.samples)
+    return _Picture(share, ticks, busiest, few, out)
 
 
 def _read_out(pictures: list[_Picture], job: Job, cost: CostModel) -> Estimate:

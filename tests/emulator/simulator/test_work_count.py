@@ -9,6 +9,7 @@ from raygrid.emulator.simulator import simulator
 from raygrid.emulator.simulator.simulator import hold
 from raygrid.emulator.simulator.work_count import (
     LEAST_ACROSS,
+    MOST_ACROSS,
     check_count_fits,
     count_cell_work,
     few_pixels,
@@ -80,6 +81,15 @@ def test_few_pixels_are_the_frame_itself_if_it_has_no_more():
     assert few_pixels(frame, 600) is frame
     assert few_pixels(frame, 599) is not frame
     assert few_pixels(frame, 1).width == LEAST_ACROSS
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+def test_there_is_memory_for_whatever_is_asked_for(samples):
+    """A frame is given back as it is up to as many samples as memory is looked at for."""
+    frame = job_of("kinds.nff", (1, 1, 1), (MOST_ACROSS, MOST_ACROSS // samples), samples=samples).frame
+    assert few_pixels(frame, 3e8) is frame
+    few = few_pixels(frame._replace(height=frame.height + 1), 3e8)
+    assert few.width * few.height * few.samples <= MOST_ACROSS**2
 
 
 def test_steps_of_a_sample_are_those_of_the_frame():

@@ -8,12 +8,15 @@ import sys
 
 import pytest
 from support.cli import here, one_line
+from support.memory import memory_taken
 from support.render import SCENES
 from support.timed import job_of, scene_of
 
 import raygrid
+from raygrid.emulator.simulator import work_count
+from raygrid.emulator.simulator.work_count import CELL_BYTES, LIST_BYTES
 from raygrid.host.machine_time import predict as module
-from raygrid.host.machine_time.cost_models import load_cost_model
+from raygrid.host.machine_time.cost_models import LEVELS, load_cost_model
 from raygrid.host.machine_time.predict import Estimate, predict
 from raygrid.host.machine_time.simulate import simulate_job
 from raygrid.node.errors import ArrayError, CostError, SceneError
@@ -79,6 +82,33 @@ def test_large_scenes_are_flooded_in_part(monkeypatch):
     assert whole.set_up.error == 0.0
     assert part.set_up.error > 0.0
     assert part.set_up.seconds == pytest.approx(whole.set_up.seconds, rel=0.7)
+
+
+@pytest.mark.usefixtures("small_budget")
+def test_frames_larger_than_what_fits_are_told_from_two_pictures(monkeypatch):
+    """However many samples the budget would pay for: there is memory for so many and no more."""
+    monkeypatch.setattr(work_count, "MOST_ACROSS", 24)
+    (told,) = predict(KINDS, "2x2x2", "unit", search="list", size=(40, 30), split="uniform")
+    assert not told.whole
+    model = load_cost_model("unit")
+    assert told.frame.seconds == pytest.approx(
+        model.seconds(simulated("kinds.nff", (2, 2, 2), (40, 30), "unit").ticks), rel=0.2
+    )
+
+
+def test_what_is_held_against_memory_is_what_is_taken():
+    """The counts by all costs, and the clocks of one phase at a time."""
+    prepare = """
+from raygrid.host.machine_time.predict import predict
+from support.timed import scene_of
+scene = scene_of("tiny.nff")
+options = {"cost": "8086", "size": (8, 8), "split": "uniform"}
+predict(scene, "2x2x2", **options)  # kernels are loaded
+"""
+    taken, cells = memory_taken(prepare, 'predict(scene, "60x60x60", **options)'), 60**3
+    counted = CELL_BYTES + len(LEVELS) * LIST_BYTES
+    assert taken <= cells * counted + 16_000_000  # packets in flight, tables
+    assert taken >= cells * counted * 0.5
 
 
 def test_the_python_interface():
