@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, SupportsIndex
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,7 @@ from raygrid.host.render.animation_jobs import still_job
 from raygrid.host.render.job import Job, Settings
 from raygrid.host.scene.load import load_scene
 from raygrid.host.scene.scene import Scene
+from raygrid.host.text.clean_text import printable
 from raygrid.host.text.misuse import ArrayMisuse, CostMisuse
 from raygrid.node.geometry import Batch, SurfaceSet
 from raygrid.node.protocol import Prices
@@ -153,11 +154,16 @@ def predict(
 
 def _shapes(arrays: Arrays) -> list[Shape]:
     """What arrays were asked for, one or several."""
-    one = isinstance(arrays, str) or (isinstance(arrays, tuple) and all(isinstance(n, int) for n in arrays))
+    one = isinstance(arrays, str) or (isinstance(arrays, tuple) and all(isinstance(n, SupportsIndex) for n in arrays))
     asked: Iterable[Any] = [arrays] if one else arrays
     try:
-        shapes = [parse_shape(array if isinstance(array, str) else "x".join(map(str, array))) for array in asked]
-    except (TypeError, ValueError) as error:
+        texts = [array if isinstance(array, str) else "x".join(map(str, array)) for array in asked]
+    except TypeError:  # what came, or a part of it, holds no numbers
+        came = printable(repr(arrays), 60)
+        raise ArrayMisuse(f"arrays came as {came}, wanted one or more such as 10x10x10 or (10, 10, 10)") from None
+    try:
+        shapes = [parse_shape(text) for text in texts]
+    except ValueError as error:
         raise ArrayMisuse(f"{error}") from None
     if not shapes:
         raise ArrayMisuse("no array came, wanted one or more such as 10x10x10")
