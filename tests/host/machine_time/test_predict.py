@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 
 import pytest
 from support.cli import here, one_line
@@ -176,12 +174,3 @@ def test_bad_requests_are_one_line():
         here("predict", KINDS, "--cost", "z80"), 2, r"raygrid predict: a cost model came as 'z80', wanted one of .*"
     )
     one_line(here("predict", "none.nff"), 1, r"raygrid: none.nff: .*")
-
-
-def test_plots_and_predictions_leave_the_backend_alone():
-    code = (
-        "import matplotlib; matplotlib.use('svg'); from raygrid.host.machine_time.plots import new_figure;"
-        "new_figure(2, 2); print(matplotlib.get_backend())"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
-    assert done.stdout.strip() == "svg"
