@@ -18,4 +18,3 @@ from .work_count import count_cell_work as count_cell_work
 from .work_count import few_pixels as few_pixels
 from .work_count import price_lists as price_lists
 from .work_count import steps_of_a_sample as steps_of_a_sample
-from .work_kernels import GROUPS as GROUPS
