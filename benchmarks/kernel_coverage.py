@@ -16,13 +16,12 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from kernel_functions import kernels
+
 ROOT = Path(__file__).resolve().parent.parent
-DECORATORS = {"part", "lean", "kernel", "piece", "formula", "eight"}
-STAGED = ("Lanes", "Three", "Staged")  # annotations of functions that formulas are written with
 LAYERS = ("node", "emulator")
 TESTS = (
     "tests/node/tracing",
@@ -34,30 +33,12 @@ TESTS = (
 )
 
 
-def is_kernel(function: ast.FunctionDef) -> bool:
-    """Tell whether numba or a formula compiles a function."""
-    decorators = {ast.unparse(one).partition("(")[0] for one in function.decorator_list}
-    annotations = [ast.unparse(one.annotation) for one in function.args.args if one.annotation is not None]
-    return bool(decorators & DECORATORS) or any(name in text for text in annotations for name in STAGED)
-
-
-def kernels(tree: ast.AST, outer: str = "") -> Iterator[tuple[str, bool]]:
-    """(name as coverage gives it, whether it is a kernel) of all functions; methods are none."""
-    for node in ast.iter_child_nodes(tree):
-        if isinstance(node, ast.FunctionDef):
-            name = f"{outer}{node.name}"
-            yield name, is_kernel(node)
-            yield from kernels(node, f"{name}.")
-        elif not isinstance(node, ast.ClassDef):
-            yield from kernels(node, outer)
-
-
 def count(report: dict[str, Any]) -> dict[str, tuple[int, int, list[int]]]:
     """Module -> (lines of its kernels, how many of them ran, the others), of a JSON report of coverage."""
     found: dict[str, tuple[int, int, list[int]]] = {}
     for file, facts in report["files"].items():
-        for name, kernel in kernels(ast.parse((ROOT / file).read_text())):
-            if kernel and name in facts["functions"]:
+        for name in kernels(ast.parse((ROOT / file).read_text())):
+            if name in facts["functions"]:
                 function = facts["functions"][name]
                 lines, ran, missing = found.get(file, (0, 0, []))
                 ran += len(function["executed_lines"])
