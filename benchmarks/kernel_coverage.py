@@ -29,6 +29,7 @@ TESTS = (
     "tests/node/protocol",
     *(f"tests/node/jit/test_{name}.py" for name in ("formula", "intrinsics", "records", "switches")),
     *(f"tests/node/links/test_{name}.py" for name in ("link", "link_flow", "control_channel")),
+    "tests/node/runtime/test_reduction.py",
     "--ignore=tests/node/tracing/test_step.py",  # whole pictures on many shapes: an hour without a compiler
 )
 
