@@ -5,7 +5,7 @@ done. A frame is recorded after its files are in place; one that was written and
 the same bits.
 
 What is on disk is not trusted: a row that cannot be read is moved to the table `set_aside`, and the others go on. A file
-that SQLite cannot read is `Damaged`; `journal_repair` sets it aside as a whole.
+that SQLite cannot read is `Damaged`; `host.journal.repair` sets it aside as a whole.
 """
 
 from __future__ import annotations
@@ -183,9 +183,12 @@ class Journal:
                     self._base.execute("rollback")
                 raise
 
-    def add(self, client: str, request: dict[str, object]) -> int:
-        """Record a new job; returns its number. Raises OutputError, and then it is not recorded."""
-        row = (printable(client), json.dumps(request), time.time())
+    def add(self, client: str, request: dict[str, object], at: float | None = None) -> int:
+        """Record a job submitted at that time, in seconds since 1970, None: now; returns its number.
+
+        Raises OutputError, and then it is not recorded.
+        """
+        row = (printable(client), json.dumps(request), time.time() if at is None else at)
         with self._change() as base:
             made = base.execute(
                 "insert into jobs (client, request, submitted, state) values (?, ?, ?, 'queued')", row
@@ -206,9 +209,9 @@ class Journal:
                     row = (path, digest, status.st_size, status.st_mtime_ns, job)
                     base.execute("insert or replace into files values (?, ?, ?, ?, ?)", row)
 
-    def set_state(self, job: int, state: str, error: str = "") -> None:
-        """Record what became of a job. Raises OutputError."""
-        now = time.time()
+    def set_state(self, job: int, state: str, error: str = "", at: float | None = None) -> None:
+        """Record what became of a job, and when, in seconds since 1970; None: now. Raises OutputError."""
+        now = time.time() if at is None else at
         begun, ended = (now if state == "running" else None), (now if state in ENDED else None)
         values = (state, printable(error), begun, ended, job)
         with self._change() as base:
