@@ -5,7 +5,6 @@ A job is told of from memory until the journal has taken its end in: the journal
 
 from __future__ import annotations
 
-import sys
 import time
 from collections import Counter, deque
 from collections.abc import Callable
@@ -19,6 +18,7 @@ from raygrid.host.journal.repair import open_again
 from raygrid.host.service.job_facts import entry_facts
 from raygrid.host.service.schedule import Entry, JobState, Schedule
 from raygrid.host.text.clean_text import printable
+from raygrid.host.text.log import log
 from raygrid.node.errors import OutputError, ProtocolError, RaygridError
 
 MOST_UNFINISHED = 10_000  # that have not ended
@@ -161,7 +161,7 @@ class Jobs:
                 self._write(self._unrecorded[0])
                 self._unrecorded.popleft()
             self.trouble = ""
-        except RaygridError as error:
+        except (RaygridError, OSError) as error:
             self.trouble = str(error)
 
     def _write(self, record: Unrecorded) -> None:
@@ -194,7 +194,7 @@ class Jobs:
     def _remark(self, *remarks: str) -> None:
         for text in remarks:
             self.remarks.append(text)
-            print(f"{time.strftime('%Y-%m-%d %H:%M:%S')} journal: {printable(text)}", file=sys.stderr, flush=True)
+            log(f"journal: {printable(text)}")
 
     def _hear_journal(self) -> None:
         """Take over what the journal has to say of its rows."""

@@ -289,6 +289,28 @@ def test_when_the_disk_fills_up_meanwhile_the_array_goes_on_and_the_journal_catc
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".raygrid")]
 
 
+def test_a_fault_that_cannot_be_logged_is_told_and_counted_once(name, array, tmp_path):
+    class Told(Exception):
+        pass
+
+    faults, pids = array.status()["faults"]["count"], [node_pid(array)]
+
+    def look(event):
+        if event["what"] == "progress" and event["phase"] == "trace" and pids:
+            os.kill(pids.pop(), signal.SIGKILL)
+        if event["what"] == "fault":
+            raise Told
+
+    job = array.submit(TINY, output=tmp_path / "a.npy", **LONG)
+    watch_until(array, job.job, "progress", phase="trace")
+    with no_room(array):
+        with pytest.raises(Told):
+            job.wait(look)
+        assert array.status()["faults"]["count"] == faults + 1
+        job.cancel()
+    check_usable(array, tmp_path)
+
+
 def test_an_output_directory_that_goes_away_fails_the_job_in_one_line(name, array, tmp_path):
     folder = tmp_path / "out"
     folder.mkdir()
