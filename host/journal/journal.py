@@ -18,7 +18,7 @@ import sqlite3
 import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeGuard
 
 from raygrid.host.client.facts import ENDED
 from raygrid.host.text.clean_text import printable
@@ -27,6 +27,7 @@ from raygrid.node.errors import OutputError
 VERSION = 2  # 1 did not say when a job was begun
 KEPT = 1000  # jobs that have ended
 BUSY_SECONDS = 5.0
+LATEST = 253_402_300_800  # seconds from 1970 to the year 10,000
 TABLES = """
 create table if not exists jobs (
     job integer primary key autoincrement,
@@ -323,11 +324,16 @@ def read_row(row: Record) -> JobRow:
         raise ValueError(f"the request came as {type(wanted).__name__}, wanted a map")
     for name, value in (("submitted", submitted), ("begun", begun), ("ended", ended)):
         never = value is None and name != "submitted"
-        if not never and not (isinstance(value, int | float) and math.isfinite(value)):
+        if not never and not is_time(value):
             raise ValueError(f"{name} came as {str(value)[:40]}, wanted a time")
     times = submitted, begun, ended
     texts = printable(_text("state", state), 20), printable(_text("error", error))
     return JobRow(job, printable(_text("client", client)), wanted, *times, *texts, done, skipped)
+
+
+def is_time(value: object) -> TypeGuard[float]:
+    """Whether a value of the journal is a time that a calendar has, in seconds since 1970."""
+    return isinstance(value, int | float) and math.isfinite(value) and abs(value) < LATEST
 
 
 def _text(name: str, value: object) -> str:

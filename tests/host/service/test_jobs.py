@@ -89,6 +89,7 @@ def test_a_job_of_the_journal_that_cannot_be_read_fails_alone(path, jobs):
         "client = cast(x'ff' as text)",
         "submitted = 'yesterday'",
         "submitted = 9e999",
+        "submitted = 1e300",
         "state = cast(x'ff' as text)",
         "error = 7, state = 'done'",
         "error = cast(zeroblob(9000000) as text), state = 'failed'",
