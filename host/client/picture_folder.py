@@ -10,6 +10,7 @@ import json
 import os
 import sys
 import tempfile
+import time
 from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from raygrid.host.scene.load import SceneLike
 
 PREFIX = "pictures-of-raygrid-"
+ATTEMPTS = 8  # to remove a folder
+RETRY_SECONDS = 0.1  # before the next
 
 
 class PictureFolder:
@@ -37,13 +40,13 @@ class PictureFolder:
         """Make the folder. Raises ArrayError if that is impossible, or for a scene that was read already; SceneError for what
         is no scene."""
         try:
-            self._folder = tempfile.TemporaryDirectory(prefix=PREFIX)
+            self._folder = tempfile.TemporaryDirectory(prefix=PREFIX, ignore_cleanup_errors=True)
         except OSError as error:
             raise ArrayError(f"no folder for pictures can be made ({error.strerror or error}): set TMPDIR") from None
         try:
             self.scene = _path_of_scene(scene, Path(self._folder.name))
         except BaseException:
-            self._folder.cleanup()
+            self.close()
             raise
         self.title = Path(self.scene).name
         name = os.path.join(pattern_of(self._folder.name), "frame_%04d" if several else "frame")
@@ -65,11 +68,23 @@ class PictureFolder:
             raise ArrayError(f"{sums}: the picture is not as the service left it ({error})") from None
         return picture
 
+    def close(self) -> None:
+        """Remove the folder. Never raises OSError: what is left of one that cannot be removed stays.
+
+        An array may still write there for a moment when it has said that a job is cancelled.
+        """
+        for attempt in range(ATTEMPTS):
+            self._folder.cleanup()
+            if not os.path.lexists(self._folder.name):
+                return
+            if attempt < ATTEMPTS - 1:
+                time.sleep(RETRY_SECONDS)
+
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._folder.cleanup()
+        self.close()
 
 
 def _path_of_scene(scene: SceneLike, folder: Path) -> str:

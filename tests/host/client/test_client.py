@@ -1,5 +1,7 @@
 """Pictures come back from an array that stays, by the calls of one that was launched, with the same bits."""
 
+import os
+import signal
 import threading
 
 import numpy as np
@@ -80,6 +82,50 @@ def test_what_goes_wrong_is_one_sentence(array):
         array.render(TINY, depth=99)
     with pytest.raises(TypeError, match=r"^the settings \['speed'\] came, wanted some of size, samples, "):
         array.render(TINY, speed=9)
+
+
+def test_who_waits_for_a_job_that_has_ended_is_told_of_its_end(array, tmp_path):
+    job = array.submit(TINY, size=SIZE, output=tmp_path / "a.npy")
+    told = []
+    result = job.wait(told.append)
+    assert told[-1]["what"] == "end"
+    again = []
+    assert job.wait(again.append) == result
+    assert [(event["is"], event["what"], event["job"], event["state"]) for event in again] == [
+        ("event", "end", job.job, "done")
+    ]
+    (tmp_path / "a.npy").unlink()
+
+
+def test_a_render_that_is_interrupted_before_its_job_has_a_number_cancels_it(array, monkeypatch):
+    """The service is stopped, so that the answer is awaited when the interrupt comes."""
+    cancel, me, over = array.cancel, threading.get_ident(), threading.Event()
+
+    def interrupt():
+        while not (array._connection._slots and array._connection._reading) and not over.wait(0.01):
+            pass
+        if not over.is_set():
+            signal.pthread_kill(me, signal.SIGINT)
+
+    def go_on(jobs):
+        os.kill(array.pid, signal.SIGCONT)
+        return cancel(jobs)
+
+    monkeypatch.setattr(array, "cancel", go_on)
+    thread = threading.Thread(target=interrupt)
+    before = array.jobs()
+    os.kill(array.pid, signal.SIGSTOP)
+    try:
+        thread.start()
+        with pytest.raises(KeyboardInterrupt):
+            array.render(TINY, size=(2000, 2000), samples=64)
+    finally:
+        over.set()
+        os.kill(array.pid, signal.SIGCONT)
+        thread.join(60)
+    last = array.jobs()[-1]
+    assert last not in before
+    assert last["state"] == "cancelled"
 
 
 def test_a_job_that_is_cancelled_by_another_is_an_error(array):
