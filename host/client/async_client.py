@@ -26,7 +26,7 @@ from raygrid.host.client.client import RESET_SECONDS, Watch, given_job, wait_gon
 from raygrid.host.client.connection import ANSWER_SECONDS
 from raygrid.host.client.facts import ENDED, JobFacts, StatusFacts
 from raygrid.host.client.job_events import Result, check_done, end_of, result_of, tell
-from raygrid.host.client.picture_folder import PictureFolder, frames_asked
+from raygrid.host.client.picture_folder import PictureFolder, all_frames, runs_of
 from raygrid.host.client.protocol import Message, shown
 from raygrid.host.client.service_files import DEFAULT_NAME
 from raygrid.host.client.submission import GivenJob, Name, checked_message, plain, submission_of
@@ -116,7 +116,12 @@ class AsyncService:
         """Render frames of a shot one after the other. Arguments and errors as of `Service.render_frames`."""
         given = given_job(settings, budget, program, priority)
         async with self._folder(scene, several=True) as folder:
-            for ends in await asyncio.to_thread(frames_asked, folder.scene, frames):
+            if frames is None:
+                outside = (await self.status())["outside"]
+                runs = await asyncio.to_thread(all_frames, folder.scene, outside)
+            else:
+                runs = runs_of(frames)
+            for ends in runs:
                 async with contextlib.aclosing(self._pictures(folder, ends, progress, given)) as pictures:
                     async for picture in pictures:
                         yield picture

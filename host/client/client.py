@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Self, Unpack, cast
 from raygrid.host.client.connection import ANSWER_SECONDS, NO_JOB, Connection, EventListener
 from raygrid.host.client.facts import ENDED, JobFacts, StatusFacts
 from raygrid.host.client.job_events import Result, check_done, end_of, result_of, tell
-from raygrid.host.client.picture_folder import PictureFolder, frames_asked
+from raygrid.host.client.picture_folder import PictureFolder, all_frames, runs_of
 from raygrid.host.client.protocol import Message, shown
 from raygrid.host.client.service_files import DEFAULT_NAME, ServiceRecord, find
 from raygrid.host.client.submission import GivenJob, Name, checked_message, plain, submission_of
@@ -132,7 +132,8 @@ class Service:
         The others, and what is raised, as for `render`.
         """
         with PictureFolder(scene, several=True) as folder:
-            for ends in frames_asked(folder.scene, frames):
+            runs = all_frames(folder.scene, self.status()["outside"]) if frames is None else runs_of(frames)
+            for ends in runs:
                 yield from self._pictures(folder, ends, progress, given_job(settings, budget, program, priority))
 
     def _pictures(

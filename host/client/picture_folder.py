@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from raygrid.host.image.picture import Picture
     from raygrid.host.scene.load import SceneLike
 
+OUTSIDE = "raygrid up --allow-outside"  # lets an array that stays read files outside the folders of scenes
 PREFIX = "pictures-of-raygrid-"
 ATTEMPTS = 8  # to remove a folder
 RETRY_SECONDS = 0.1  # before the next
@@ -121,11 +122,13 @@ def runs_of(frames: Iterable[int]) -> list[Ends]:
     ]
 
 
-def frames_asked(scene: str, frames: Iterable[int] | None) -> list[Ends]:
-    """The runs of frames that are wanted; None: all that the scene has. Raises SceneError for a scene that cannot be read."""
-    if frames is None:
-        from raygrid.host.scene.load import load_scene
+def all_frames(scene: str, outside: bool) -> list[Ends]:
+    """The run of all frames that a scene has.
 
-        shot = load_scene(scene).shot
-        frames = range(1, 2 if shot is None else shot.frames + 1)
-    return runs_of(frames)
+    outside  whether the array lets scenes refer to files outside their folders
+    Raises SceneError for a scene that cannot be read.
+    """
+    from raygrid.host.scene.load import load_scene
+
+    shot = load_scene(scene, outside, OUTSIDE).shot
+    return [(1, 1 if shot is None else shot.frames)]

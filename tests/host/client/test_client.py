@@ -1,5 +1,6 @@
 """Pictures come back from an array that stays, by the calls of one that was launched, with the same bits."""
 
+import asyncio
 import os
 import signal
 import threading
@@ -9,7 +10,7 @@ import pytest
 import trimesh
 from support.cli import warm_kernels
 from support.render import SCENES, rendered
-from support.service import SIZE, array, name, sums
+from support.service import SIZE, array, end, name, sums, up
 
 import raygrid
 from raygrid.host.scene.load import load_scene
@@ -65,6 +66,29 @@ def test_frames_come_one_after_the_other(array):
     with raygrid.launch("2x1x1") as launched:
         own = list(launched.render_frames(MOBILE, [2, 3, 7], size=SIZE))
     assert all(np.array_equal(one.sums, other.sums) for one, other in zip(frames, own, strict=True))
+
+
+def test_all_frames_of_a_scene_with_files_elsewhere_are_rendered_where_the_array_reads_them(array, tmp_path_factory):
+    """What the array may read is asked of it: whoever started it has decided that."""
+    folder = tmp_path_factory.mktemp("scene")
+    (folder / "film.toml").write_text(f'include = "{TINY}"\n[shot]\nframes = 2\n')
+    with pytest.raises(raygrid.SceneError, match="wanted one within, or raygrid up --allow-outside"):
+        next(array.render_frames(folder / "film.toml", size=SIZE))
+
+    async def frames():
+        async with raygrid.aio.connect("outside") as other:
+            return [frame async for frame in other.render_frames(folder / "film.toml", size=SIZE)]
+
+    try:
+        up("outside", "--allow-outside")
+        with raygrid.connect("outside") as other:
+            pictures = list(other.render_frames(folder / "film.toml", size=SIZE))
+        pictures += asyncio.run(frames())
+    finally:
+        end("outside")
+    assert [picture.stats["frame"] for picture in pictures] == [1, 2, 1, 2]
+    wanted = rendered(load_scene(folder / "film.toml", True), (2, 1, 1), size=SIZE).sums
+    assert all(np.array_equal(picture.sums, wanted) for picture in pictures)
 
 
 def test_frames_that_nobody_takes_are_cancelled(array):

@@ -14,7 +14,7 @@ from support.render import SCENES
 
 import raygrid
 from raygrid.host.client import picture_folder
-from raygrid.host.client.picture_folder import PictureFolder, frames_asked, runs_of
+from raygrid.host.client.picture_folder import PictureFolder, all_frames, runs_of
 from raygrid.host.image.frames import path_of
 from raygrid.host.scene.load import load_scene
 from raygrid.host.scene.scene import describe
@@ -36,8 +36,8 @@ def test_numbers_become_jobs_without_gaps():
     assert runs_of([1, 2, 4, 3, 3, 5]) == [(1, 2), (4, 4), (3, 3), (3, 3), (5, 5)]
     assert runs_of([]) == []
     assert runs_of(range(7, 9)) == [(7, 8)]
-    assert frames_asked(TINY, None) == [(1, 1)]
-    assert frames_asked(str(SCENES / "mobile.toml"), None) == [(1, 48)]
+    assert all_frames(TINY, False) == [(1, 1)]
+    assert all_frames(str(SCENES / "mobile.toml"), False) == [(1, 48)]
 
 
 def test_a_picture_is_taken_with_its_statistics_and_its_files_go(temporary):
