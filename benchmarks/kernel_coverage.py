@@ -16,14 +16,12 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections import defaultdict
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from kernel_functions import kernels
+
 ROOT = Path(__file__).resolve().parent.parent
-DECORATORS = {"part", "lean", "kernel", "piece", "formula", "eight"}
-STAGED = ("Lanes", "Three", "Staged")  # annotations of functions that formulas are written with
 LAYERS = ("node", "emulator")
 TESTS = (
     "tests/node/tracing",
@@ -31,34 +29,17 @@ TESTS = (
     "tests/node/protocol",
     *(f"tests/node/jit/test_{name}.py" for name in ("formula", "intrinsics", "records", "switches")),
     *(f"tests/node/links/test_{name}.py" for name in ("link", "link_flow", "control_channel")),
+    "tests/node/runtime/test_reduction.py",
     "--ignore=tests/node/tracing/test_step.py",  # whole pictures on many shapes: an hour without a compiler
 )
-
-
-def is_kernel(function: ast.FunctionDef) -> bool:
-    """Tell whether numba or a formula compiles a function."""
-    decorators = {ast.unparse(one).partition("(")[0] for one in function.decorator_list}
-    annotations = [ast.unparse(one.annotation) for one in function.args.args if one.annotation is not None]
-    return bool(decorators & DECORATORS) or any(name in text for text in annotations for name in STAGED)
-
-
-def kernels(tree: ast.AST, outer: str = "") -> Iterator[tuple[str, bool]]:
-    """(name as coverage gives it, whether it is a kernel) of all functions; methods are none."""
-    for node in ast.iter_child_nodes(tree):
-        if isinstance(node, ast.FunctionDef):
-            name = f"{outer}{node.name}"
-            yield name, is_kernel(node)
-            yield from kernels(node, f"{name}.")
-        elif not isinstance(node, ast.ClassDef):
-            yield from kernels(node, outer)
 
 
 def count(report: dict[str, Any]) -> dict[str, tuple[int, int, list[int]]]:
     """Module -> (lines of its kernels, how many of them ran, the others), of a JSON report of coverage."""
     found: dict[str, tuple[int, int, list[int]]] = {}
     for file, facts in report["files"].items():
-        for name, kernel in kernels(ast.parse((ROOT / file).read_text())):
-            if kernel and name in facts["functions"]:
+        for name in kernels(ast.parse((ROOT / file).read_text())):
+            if name in facts["functions"]:
                 function = facts["functions"][name]
                 lines, ran, missing = found.get(file, (0, 0, []))
                 ran += len(function["executed_lines"])
@@ -80,14 +61,13 @@ def run_tests(tests: list[str], folder: str) -> tuple[int, dict[str, Any]]:
 
 def tell(found: dict[str, tuple[int, int, list[int]]]) -> float:
     """Print a line a module, and all together; returns the share that ran, in percent."""
-    sums: dict[str, list[int]] = defaultdict(lambda: [0, 0])
+    all_lines = all_ran = 0
     for file, (lines, ran, missing) in sorted(found.items()):
-        sums["all kernels"][0] += lines
-        sums["all kernels"][1] += ran
+        all_lines += lines
+        all_ran += ran
         print(f"{file:42}{lines:6}{ran / lines:8.1%}  {' '.join(map(str, missing[:12]))}")
-    lines, ran = sums["all kernels"]
-    print(f"{'all kernels':42}{lines:6}{ran / max(lines, 1):8.1%}")
-    return 100.0 * ran / max(lines, 1)
+    print(f"{'all kernels':42}{all_lines:6}{all_ran / max(all_lines, 1):8.1%}")
+    return 100.0 * all_ran / max(all_lines, 1)
 
 
 def main() -> int:

@@ -4,7 +4,7 @@
         --cost 8086 --cost t800 --size 512x512 --csv cases.csv -o docs/predict.md
 
 The table lies between two marks of that file and replaces what was there. --only N: every Nth case, for a quick look.
-An interrupt (Ctrl-C) ends it early, with the table of what is done.
+An interrupt (Ctrl-C) ends it early, with the table of what is done; before the first case nothing is written.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import argparse
 import contextlib
 import csv
 import re
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -69,7 +70,7 @@ def compare(scene: Scene, array: str, cost: CostModel, search: str, settings: di
     job = still_job(scene, parse_shape(array), Settings(**settings))
     model = make_model(job.space, job.surfaces, job.frame, search)
     prices = cost.prices("middle", search)
-    phase, pixels = trace(model, prices, cost.list_ticks("middle", search, model.held))
+    phase, pixels = trace(model, prices, cost.list_ticks("middle", search, model.holding.held))
     out = read_out(model, prices, pixels)
     description = cost.file.ticks.description[LEVELS.index("middle")]
     set_up = flood(job.space, ordered(job.surfaces), prices, description)
@@ -105,6 +106,8 @@ def main() -> None:
             case = compare(scenes[path], array, load_cost_model(cost), search, settings)
             cases.append(case)
             print(_line(case), flush=True)
+    if not cases:
+        sys.exit("ended before the first case was done: nothing is written")
     if options.csv:
         _save(options.csv, cases)
     rows = table(cases, options)
@@ -141,7 +144,7 @@ def _save(path: str, cases: list[Case]) -> None:
 
 
 def table(cases: list[Case], options: argparse.Namespace) -> list[str]:
-    """Rows for groups of cases. Frames that were simulated as they are stand in one row of their own."""
+    """Rows for groups of one case or more. Frames that were simulated as they are stand in one row of their own."""
     guessed = [case for case in cases if not case.told.whole]
     many = [case for case in guessed if not case.told.few_rays]
     groups = {
@@ -170,15 +173,22 @@ def table(cases: list[Case], options: argparse.Namespace) -> list[str]:
                 f"| {name} | {len(group)} | {np.median(off):.2%} | {np.quantile(off, 0.95):.2%} | {off.max():.2%} "
                 f"| {np.mean([case.covered for case in group]):.0%} | {stated:.1%} |"
             )
-    out = np.abs([c.told.read_out.seconds / c.read_out - 1.0 for c in guessed])
+    return [*rows, "", *_around(cases, guessed)]
+
+
+def _around(cases: list[Case], guessed: list[Case]) -> list[str]:
+    """The rest of the table: read-outs, of frames that were extrapolated; set-ups and processor seconds, of all."""
+    rows = []
+    if guessed:
+        out = np.abs([c.told.read_out.seconds / c.read_out - 1.0 for c in guessed])
+        rows.append(f"Read-out: median {np.median(out):.2%}, worst {out.max():.2%}.")
     flooded = np.abs([c.told.set_up.seconds / max(c.set_up, 1e-12) - 1.0 for c in cases])
-    cpu = [case.cpu for case in cases]
+    cpu, simulated = [case.cpu for case in cases], [case.simulated_cpu for case in cases]
     return [
         *rows,
-        "",
-        f"Read-out: median {np.median(out):.2%}, worst {out.max():.2%}. Set-up: median {np.median(flooded):.2%}, worst "
-        f"{flooded.max():.2%}. Processor seconds of a prediction: median {np.median(cpu):.2f}, most {max(cpu):.2f}; of the",
-        f"simulation: median {np.median([c.simulated_cpu for c in cases]):.2f}, most {max(c.simulated_cpu for c in cases):.2f}.",
+        f"Set-up: median {np.median(flooded):.2%}, worst {flooded.max():.2%}.",
+        f"Processor seconds of a prediction: median {np.median(cpu):.2f}, most {max(cpu):.2f}; of the simulation: median "
+        f"{np.median(simulated):.2f}, most {max(simulated):.2f}.",
     ]
 
 

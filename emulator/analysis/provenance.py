@@ -11,7 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from raygrid.emulator.analysis.requery import begin, sees_outside
+from raygrid.emulator.analysis.sample_facts import begin, sees_outside
 from raygrid.emulator.analysis.single_step import Served, SingleStep, Units, Vector
 from raygrid.emulator.topology.coordinates import Index, beyond
 from raygrid.node import protocol

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.emulator.analysis.requery import brought_home
+from raygrid.emulator.analysis.sample_facts import brought_home
 from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.emulator.topology.coordinates import Index
 from raygrid.emulator.topology.limits import read_resources

@@ -225,9 +225,16 @@ def held_by(surfaces, first, last):
 
 
 @part
-def _tables(sim, cell, surfaces):
-    """What the ray step of a node reads and writes that has this cell and holds these surfaces."""
-    return StepTables(cell, sim.space, sim.frame, surfaces, sim.pixels, sim.outputs, sim.counts)
+def neighbour(shape, k, port):
+    """(number of the node to which `port` of node k leads, the port at which it receives what is sent there)."""
+    stride = 1 if port < 2 else (shape[0] if port < 4 else shape[0] * shape[1])
+    return k + stride if port & 1 else k - stride, port ^ 1
+
+
+@part
+def step_tables(run, cell, surfaces):
+    """What the ray step of a node reads and writes that has this cell and holds these surfaces; run: whoever calls it."""
+    return StepTables(cell, run.space, run.frame, surfaces, run.pixels, run.outputs, run.counts)
 
 
 @part
@@ -245,7 +252,7 @@ def _spawn_next(sim, k, tick, cell):
         pixel = number // frame.samples
         j = pixel // frame.width
         i, sample = pixel - j * frame.width, number - pixel * frame.samples
-        made = spawn_sample(_tables(sim, cell, sim.surfaces), (i, j, pixel), sample, scratch)
+        made = spawn_sample(step_tables(sim, cell, sim.surfaces), (i, j, pixel), sample, scratch)
         sim.watch.total[BORN + PRIMARY] += made
         spawned(timed, k, tick, scratch, 0, prices.counts[BORN + PRIMARY])
 
@@ -254,7 +261,6 @@ def _spawn_next(sim, k, tick, cell):
 def _deliver(sim, k, done, hops, handed_on):
     """Put what node k sends into the queues of its neighbours."""
     timed, outputs = sim.timed, sim.outputs
-    nx, nxy = sim.space.shape[0], sim.space.shape[0] * sim.space.shape[1]
     nth = np.int64(0)
     for port in range(PORTS + 1):
         for packet in range(outputs.held[port]):
@@ -263,10 +269,9 @@ def _deliver(sim, k, done, hops, handed_on):
             if port == HOST:
                 sim.wheel.state[0]["host_tick"] = max(sim.wheel.state[0]["host_tick"], tick)
                 continue
-            stride = 1 if port < 2 else (nx if port < 4 else nxy)
-            to = k + stride if port & 1 else k - stride
+            to, back = neighbour(sim.space.shape, k, port)
             so_far = min(hops + 1, MOST_HOPS) if handed_on else 1
-            put(timed, to, port ^ 1, tick, port ^ 1, so_far, outputs.data[port], HEAD + packet * SIZE)
+            put(timed, to, back, tick, back, so_far, outputs.data[port], HEAD + packet * SIZE)
             _count_time(sim, LINKS, done, tick)
             _wake(sim, to, tick)
         outputs.held[port] = 0
@@ -281,7 +286,7 @@ def _serve_next(sim, k, tick, cell, surfaces):
     byte = slot * RECORD_BYTES
     kind = np.int64(timed.bytes[byte + PACKET]) & 7
     hops = np.int64(timed.bytes[byte + HOPS_AT]) | np.int64(timed.bytes[byte + HOPS_AT + 1]) << 8
-    done = serve(timed, k, slot, tick, _tables(sim, cell, surfaces), sim.prices)
+    done = serve(timed, k, slot, tick, step_tables(sim, cell, surfaces), sim.prices)
     give_back(timed, slot)
     for count in range(COUNTS):
         watch.total[count] += counts[count]

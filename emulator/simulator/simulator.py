@@ -80,47 +80,69 @@ def digest_of(traces: Long) -> str:
     return hashlib.sha256(np.ascontiguousarray(traces, "<i8").tobytes()).hexdigest()[:16]
 
 
+@dataclass(frozen=True)
+class Holding:
+    """What the nodes of an array hold, ready for frames of any size.
+
+    held     int64 (n, 6): surfaces of each kind that each node holds
+    surfaces, roots   tables, and rows of the hierarchy of each node
+    """
+
+    space: Space
+    held: Long
+    surfaces: Surfaces
+    roots: Long
+    search: str
+
+    @property
+    def cells(self) -> int:
+        """How many processors the array has."""
+        return len(self.held)
+
+    def model(self, frame: Frame) -> Model:
+        """A frame on this array, to be simulated."""
+        return Model(self, frame, *order_of_samples(frame, self.space))
+
+
 @dataclass
 class Model:
     """A frame on an array, ready to be simulated with any prices.
 
-    held     int64 (n, 6): surfaces of each kind that each node holds
-    surfaces, roots   tables, and rows of the hierarchy of each node
     samples, borders  who emits what, in order
     """
 
-    space: Space
+    holding: Holding
     frame: Frame
-    held: Long
-    surfaces: Surfaces
-    roots: Long
     samples: NDArray[np.uint32]
     borders: Long
-    search: str
     seconds: dict[str, float] = field(default_factory=dict)
 
-    @property
-    def nodes(self) -> int:
-        """How many processors the array has."""
-        return len(self.held)
 
+def hold(space: Space, surfaces: SurfaceSet, search: str) -> Holding:
+    """Work out what each node holds; with `tree` each has the hierarchy that it would build itself.
 
-def make_model(space: Space, surfaces: SurfaceSet, frame: Frame, search: str, kept_phases: int = 1) -> Model:
-    """Work out who holds and who emits what. Raises TooLarge if this computer has no room for it.
-
-    kept_phases   most phases at a time of which the nodes' clocks are kept, the one that runs included
+    Raises ArrayError for a search that is none.
     """
     if search not in ("list", "tree"):
         raise ArrayError(f"a search came as {search!r}, wanted list or tree")
+    sorted_surfaces = ordered(surfaces)
+    shared = shared_geometry(sorted_surfaces, space)
+    tables, roots = (trees if search == "tree" else one_hierarchy)(sorted_surfaces, space, shared)
+    return Holding(space, shared.held, tables, roots, search)
+
+
+def make_model(space: Space, surfaces: SurfaceSet, frame: Frame, search: str, kept_phases: int = 1) -> Model:
+    """Work out who holds and who emits what. Raises TooLarge if this computer has no room for it, and ArrayError.
+
+    kept_phases   most phases at a time of which the nodes' clocks are kept, the one that runs included
+    """
     check_room(space.shape, frame, kept_phases)
     begun = compile_clock.now()
-    sorted_surfaces = ordered(surfaces)
-    held = shared_geometry(sorted_surfaces, space)
-    tables, roots = (trees if search == "tree" else one_hierarchy)(sorted_surfaces, space, held)
-    loaded = compile_clock.now()
-    samples, borders = order_of_samples(frame, space)
-    seconds = {"hold": loaded - begun, "order": compile_clock.now() - loaded}
-    return Model(space, frame, held.held, tables, roots, samples, borders, search, seconds)
+    holding = hold(space, surfaces, search)
+    held = compile_clock.now()
+    model = holding.model(frame)
+    model.seconds.update(hold=held - begun, order=compile_clock.now() - held)
+    return model
 
 
 def check_room(shape: tuple[int, int, int], frame: Frame, kept_phases: int) -> None:
@@ -131,8 +153,13 @@ def check_room(shape: tuple[int, int, int], frame: Frame, kept_phases: int) -> N
         shape,
         samples,
         bytes_per_node=NODE_BYTES + kept_phases * CLOCK_BYTES,
-        fixed_bytes=samples * SAMPLE_BYTES + pixels * PIXEL_BYTES + 2 * FIRST_ROOM * RECORD_BYTES,
+        fixed_bytes=bytes_of_a_picture(pixels, samples),
     )
+
+
+def bytes_of_a_picture(pixels: int, samples: int) -> int:
+    """Count what simulating a picture takes, whatever the number of nodes: its sums, who emits what, packets in flight."""
+    return samples * SAMPLE_BYTES + pixels * PIXEL_BYTES + 2 * FIRST_ROOM * RECORD_BYTES
 
 
 def whole_picture(frame: Frame) -> Pixels:
@@ -162,7 +189,7 @@ def read_out(model: Model, prices: Prices, pixels: Pixels, tell: Tell | None = N
     """Send all pixels from their homes to the host, as after a frame."""
     numbers, borders = order_of_pixels(model.frame, model.samples, model.borders)
     primaries = event_loop.PrimaryOrder(numbers, True)
-    return _run(model, prices, np.zeros(model.nodes, np.int64), primaries, borders, pixels, tell, "read-out")
+    return _run(model, prices, np.zeros(model.holding.cells, np.int64), primaries, borders, pixels, tell, "read-out")
 
 
 def _run(
@@ -177,7 +204,7 @@ def _run(
 ) -> Phase:
     """Run one phase to its end."""
     begun = compile_clock.now()
-    timed = make_service_clock(model.nodes, FIRST_ROOM)
+    timed = make_service_clock(model.holding.cells, FIRST_ROOM)
     timed.nodes["list_ticks"] = list_ticks
     timed.nodes["next_primary"], timed.nodes["last_primary"] = borders[:-1], borders[1:]
     shift = prices.lookahead.bit_length() - 1
@@ -187,9 +214,10 @@ def _run(
     outputs = make_outputs(2 * (model.frame.n_lights + 4), DEPTH)
     counts, scratch = np.zeros(COUNTS, np.int64), np.zeros(SIZE, np.uint8)
     event_loop.enter_all(timed, wheel)
+    held = model.holding
     simulation = event_loop.Simulation(
-        timed, wheel, watch, model.space, model.frame, model.surfaces, model.roots, pixels, primaries, scratch,
-        outputs, counts, prices,
+        timed, wheel, watch, held.space, model.frame, held.surfaces, held.roots, pixels, primaries, scratch, outputs,
+        counts, prices,
     )  # fmt: skip
     state = wheel.state[0]  # a view, so it stays up to date
     while True:

@@ -16,9 +16,13 @@ from numpy.typing import NDArray
 
 from raygrid.emulator.partition.sampling_prepass import coarse_frame
 from raygrid.emulator.simulator.kernels import find_homes
-from raygrid.emulator.simulator.sample_order import order_of_samples
-from raygrid.emulator.simulator.shared_tables import SharedGeometry, one_hierarchy, ordered, shared_geometry, trees
-from raygrid.emulator.simulator.simulator import Model, whole_picture
+from raygrid.emulator.simulator.simulator import (
+    CLOCK_BYTES,
+    NODE_BYTES,
+    Holding,
+    bytes_of_a_picture,
+    whole_picture,
+)
 from raygrid.emulator.simulator.work_kernels import (
     GROUPS,
     TICKS,
@@ -30,40 +34,15 @@ from raygrid.emulator.simulator.work_kernels import (
     follow_samples,
 )
 from raygrid.emulator.topology.limits import check_simulated_fits
-from raygrid.node.geometry import DEPTH, PORTS, Space, Surfaces, SurfaceSet
+from raygrid.node.geometry import DEPTH, PORTS
 from raygrid.node.protocol import BORN, COUNTS, PRIMARY, SIZE, Frame, Prices
 from raygrid.node.tracing import make_outputs
 
 Long = NDArray[np.int64]
 FIRST_ACROSS = 24  # pixels along a side of the picture that tells how many steps a sample takes
 LEAST_ACROSS, MOST_ACROSS = 16, 1024  # and of any
-LIST_BYTES = 8 * (GROUPS + 1)  # of a cell and a price list
-CELL_BYTES = 8 * PORTS + 8 + 64 + 128  # of a cell, whatever it holds
-
-
-@dataclass(frozen=True)
-class Holding:
-    """What the cells of an array hold, ready for pictures of any size.
-
-    held     int64 (cells, 6): surfaces of each kind
-    surfaces, roots   tables, and rows of the hierarchy of each cell
-    """
-
-    space: Space
-    held: Long
-    surfaces: Surfaces
-    roots: Long
-    search: str
-
-    @property
-    def cells(self) -> int:
-        """How many processors the array has."""
-        return len(self.held)
-
-    def model(self, frame: Frame) -> Model:
-        """A frame on this array, to be simulated."""
-        samples, borders = order_of_samples(frame, self.space)
-        return Model(self.space, frame, self.held, self.surfaces, self.roots, samples, borders, self.search)
+LIST_BYTES = 8 * (GROUPS + 2)  # of a cell and a price list: ticks of each group, and what a walk costs, twice
+CELL_BYTES = 8 * PORTS + 8 + NODE_BYTES + CLOCK_BYTES  # of a cell, whatever it holds; it is simulated, too
 
 
 @dataclass(frozen=True)
@@ -75,7 +54,7 @@ class CellWork:
     busy      int64 (cells, GROUPS, lists), ticks of work; pixels are dealt to groups row by row and column by column
     sent      int64 (cells, PORTS), packets by each port
     born      int64 (cells,), samples that begin there
-    longest, mean   float64 (lists,): ticks of a sample that meets no other, the longest and the mean
+    longest   float64 (lists,): ticks of the longest sample, if it meets no other
     counts    int64 (COUNTS,), as of the ray step
     steps     packets served
     """
@@ -86,24 +65,19 @@ class CellWork:
     sent: Long
     born: Long
     longest: NDArray[np.float64]
-    mean: NDArray[np.float64]
     counts: Long
     steps: int
 
 
 def check_count_fits(shape: tuple[int, int, int], lists: int) -> None:
-    """Raise TooLarge for an array that this computer has no memory for."""
+    """Raise TooLarge for an array that this computer has no memory for.
+
+    lists   price lists that are counted for; one of them is simulated, one phase at a time, while the counts are kept
+    """
+    most = MOST_ACROSS**2
     check_simulated_fits(
-        shape, MOST_ACROSS**2, bytes_per_node=CELL_BYTES + lists * LIST_BYTES, fixed_bytes=64 * MOST_ACROSS**2
+        shape, most, bytes_per_node=CELL_BYTES + lists * LIST_BYTES, fixed_bytes=bytes_of_a_picture(most, most)
     )
-
-
-def hold(space: Space, surfaces: SurfaceSet, search: str) -> Holding:
-    """Work out what each cell holds; with `tree` each has the hierarchy that its node would build."""
-    sorted_surfaces = ordered(surfaces)
-    held: SharedGeometry = shared_geometry(sorted_surfaces, space)
-    tables, roots = (trees if search == "tree" else one_hierarchy)(sorted_surfaces, space, held)
-    return Holding(space, held.held, tables, roots, search)
 
 
 def price_lists(prices: Sequence[Prices], walks: Sequence[Long]) -> PriceLists:
@@ -126,8 +100,9 @@ def few_pixels(frame: Frame, samples: float, least: int = LEAST_ACROSS) -> Frame
     """The same view with about so many pixels of a sample each; the frame itself if it has no more samples than that.
 
     least   pixels along a side that there are at least, if the frame has them
+    Never more samples than MOST_ACROSS along both sides, however many are asked for: for so many there is memory.
     """
-    if frame.width * frame.height * frame.samples <= samples:
+    if frame.width * frame.height * frame.samples <= min(samples, MOST_ACROSS**2):
         return frame
     return coarse_frame(frame, int(min(max(math.sqrt(samples), least), MOST_ACROSS)))
 
@@ -148,7 +123,6 @@ def _counted(holding: Holding, few: Frame, frame: Frame, prices: PriceLists) -> 
         np.zeros((holding.cells, PORTS), np.int64),
         np.zeros(holding.cells, np.int64),
         np.zeros(lists, np.int64),
-        np.zeros(lists, np.int64),
         np.zeros(COUNTS, np.int64),
         np.zeros(1, np.int64),
     )
@@ -160,10 +134,15 @@ def _counted(holding: Holding, few: Frame, frame: Frame, prices: PriceLists) -> 
             counts, times,
         )
     )  # fmt: skip
-    born = max(int(work.born.sum()), 1)
     work.counts[BORN + PRIMARY] = int(work.born.sum())
     share = frame.width * frame.height * frame.samples / samples
     return CellWork(
-        share, samples, work.busy, work.sent, work.born, work.longest.astype(np.float64), work.together / born,
-        work.counts, int(work.steps[0]),
-    )  # fmt: skip
+        share,
+        samples,
+        work.busy,
+        work.sent,
+        work.born,
+        work.longest.astype(np.float64),
+        work.counts,
+        int(work.steps[0]),
+    )

@@ -15,11 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.emulator.simulator.event_loop import cell_of, held_by
+from raygrid.emulator.simulator.event_loop import cell_of, held_by, neighbour, step_tables
 from raygrid.node.geometry import PORTS, SELF, Space, Surfaces
 from raygrid.node.jit import lean, part
 from raygrid.node.protocol import BORN, COUNTS, HEAD, PRIMARY, SENT, SIZE, WALKS, Frame
-from raygrid.node.tracing import Outputs, Pixels, StepTables, spawn_sample
+from raygrid.node.tracing import Outputs, Pixels, spawn_sample
 from raygrid.node.tracing.step import step_one
 
 Long = NDArray[np.int64]
@@ -57,7 +57,7 @@ class WorkSums(NamedTuple):
     busy     int64 (cells, GROUPS, lists): ticks of work
     sent     int64 (cells, PORTS): packets
     born     int64 (cells,): samples that begin there
-    longest  int64 (lists,): ticks of the sample that would take longest alone; together: the sum over all
+    longest  int64 (lists,): ticks of the sample that would take longest alone
     counts   int64 (COUNTS,) of all; steps: int64 (1,), how many packets were served
     """
 
@@ -65,7 +65,6 @@ class WorkSums(NamedTuple):
     sent: Long
     born: Long
     longest: Long
-    together: Long
     counts: Long
     steps: Long
 
@@ -101,14 +100,12 @@ BEGIN, READY, OWN, END, TIMES = 0, 1, 2, 3, 4
 def _push_sent(run, top, k):
     """Put on the stack what a service of cell k has put on the outputs; returns the new height."""
     outputs, stack, prices = run.outputs, run.stack, run.prices
-    nx, nxy = run.space.shape[0], run.space.shape[0] * run.space.shape[1]
     nth = np.int64(0)
     for output in range(len(outputs.held)):
         for packet in range(outputs.held[output]):
             cell, port = k, np.int64(SELF)
             if output < PORTS:
-                stride = 1 if output < 2 else (nx if output < 4 else nxy)
-                cell, port = (k + stride if output & 1 else k - stride), np.int64(output ^ 1)
+                cell, port = neighbour(run.space.shape, k, output)
                 nth += 1
             for byte in range(SIZE):
                 stack.packets[top * SIZE + byte] = outputs.data[output, HEAD + packet * SIZE + byte]
@@ -147,12 +144,6 @@ def _price(run, k, group):
 
 
 @part
-def _tables(run, k, surfaces):
-    """What the ray step of cell k reads and writes."""
-    return StepTables(cell_of(run.space, k), run.space, run.frame, surfaces, run.pixels, run.outputs, run.counts)
-
-
-@part
 def _begin(run, home, group):
     """Begin with the primary ray that lies first on the stack."""
     stack, work = run.stack, run.work
@@ -177,7 +168,8 @@ def follow_samples(run):
         i = pixel - j * frame.width
         group = (i & (APART - 1)) + APART * (j & (APART - 1))
         number = sample - pixel * frame.samples
-        if spawn_sample(_tables(run, home, run.surfaces), (i, j, pixel), number, stack.packets) == 0:
+        tables = step_tables(run, cell_of(run.space, home), run.surfaces)
+        if spawn_sample(tables, (i, j, pixel), number, stack.packets) == 0:
             continue
         _begin(run, home, group)
         top = np.int64(1)
@@ -188,9 +180,8 @@ def follow_samples(run):
                 times[BEGIN, row] = stack.facts[top, TICKS + row]
             run.counts[:] = 0
             here = held_by(run.surfaces, run.roots[k, 0], run.roots[k, 1])
-            step_one(_tables(run, k, here), stack.packets, top * SIZE, port)
+            step_one(step_tables(run, cell_of(run.space, k), here), stack.packets, top * SIZE, port)
             _price(run, k, group)
             top = _push_sent(run, top, k)
         for row in range(times.shape[1]):
             work.longest[row] = max(work.longest[row], times[END, row])
-            work.together[row] += times[END, row]

@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from raygrid.host.machine_time.prediction_law import FEW_RAYS
 from raygrid.host.machine_time.scaling_law import KINDS, Point, law, least_squares_of_logs
@@ -38,9 +39,11 @@ class RivalFit(NamedTuple):
 
     values      float64 (3,), by all scenes together; r2: of log T, in sample
     inside      errors of the frames that were fitted
-    outside     of frames of a scene by the fit to the others; None with a single scene
-    few         of frames with few rays, by the fit to the others, or to all if there is a single scene; None: no such frame
-    told        seconds of each frame of `frames`, out of sample where there is another scene
+    outside     of fitted frames that are told by others; None: no such frame
+    few         of frames with few rays that are told by others, or of all of these if there is a single scene; None: no such
+                frame
+    told        seconds of each frame of `frames`: by the fit to the other scenes where it is told by others, else to all
+    by_others   bool for each frame of `frames`: whether the other scenes have the LEAST_POINTS frames that it takes to fit
     """
 
     name: str
@@ -52,6 +55,7 @@ class RivalFit(NamedTuple):
     few: Errors | None
     frames: tuple[Point, ...]
     told: F64
+    by_others: NDArray[np.bool_]
 
 
 def _of_1983(points: Sequence[Point]) -> F64:
@@ -99,23 +103,32 @@ def fit_rival(name: str, points: Sequence[Point]) -> RivalFit | None:
     if len(many) < LEAST_POINTS:
         return None
     values, residuals = _fitted(terms_of, many)
-    scenes = dict.fromkeys(point.scene for point in points)
-    told = np.array(terms_of(points) @ values)
-    alone = True
-    for scene in scenes:
-        others = [point for point in many if point.scene != scene]
-        here = np.array([point.scene == scene for point in points])
-        if len(others) >= LEAST_POINTS:
-            alone = False
-            told[here] = terms_of([point for point in points if point.scene == scene]) @ _fitted(terms_of, others)[0]
+    told, by_others = _out_of_sample(terms_of, points, many, values)
     logs = np.log([point.seconds for point in points]) - np.log(np.maximum(told, 1e-300))
     few = np.array([has_few_rays(point) for point in points])
+    few_told = few if len({point.scene for point in points}) == 1 else few & by_others
     times = np.log([point.seconds for point in many])
     r2 = 1.0 - float(residuals @ residuals) / max(float(np.sum((times - times.mean()) ** 2)), 1e-300)
     inside = errors(residuals)
     assert inside is not None
-    outside = None if alone else errors(logs[~few])
-    return RivalFit(name, points[0].kind, values, r2, inside, outside, errors(logs[few]), tuple(points), told)
+    outside = errors(logs[by_others & ~few])
+    return RivalFit(
+        name, points[0].kind, values, r2, inside, outside, errors(logs[few_told]), tuple(points), told, by_others
+    )
+
+
+def _out_of_sample(
+    terms_of: Terms, points: Sequence[Point], many: Sequence[Point], values: F64
+) -> tuple[F64, NDArray[np.bool_]]:
+    """(seconds of each frame by the fit to the other scenes, or by `values` where these are too few; where they suffice)."""
+    told, by_others = np.array(terms_of(points) @ values), np.zeros(len(points), np.bool_)
+    for scene in dict.fromkeys(point.scene for point in points):
+        others = [point for point in many if point.scene != scene]
+        if len(others) >= LEAST_POINTS:
+            here = np.array([point.scene == scene for point in points])
+            told[here] = terms_of([point for point in points if point.scene == scene]) @ _fitted(terms_of, others)[0]
+            by_others |= here
+    return told, by_others
 
 
 def _fitted(terms_of: Terms, points: Sequence[Point]) -> tuple[F64, F64]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from raygrid.host.machine_time.law_rivals import RIVALS, Errors, RivalFit, has_few_rays
+from raygrid.host.machine_time.law_rivals import LEAST_POINTS, RIVALS, Errors, RivalFit, has_few_rays
 from raygrid.host.machine_time.plots import new_figure
 from raygrid.host.machine_time.prediction_law import FEW_RAYS
 from raygrid.host.machine_time.scaling_law import KINDS
@@ -43,6 +43,10 @@ def rival_rows(fits: Sequence[RivalFit], scenes: int) -> list[str]:
         rows += ["", "With a single scene there is nothing out of sample: name more of them."]
     for fit in fits:
         if fit.name == "busiest":
+            alone, every = int((~fit.by_others).sum()), len(fit.frames)
+            if alone and scenes > 1:
+                why = f"the other scenes have fewer than the {LEAST_POINTS} frames that a law is fitted to"
+                rows += ["", f"{fit.kind}: {alone} of {every} frames are not told out of sample: {why}."]
             share, latency, a_step = fit.values
             rows += ["", f"{fit.kind}: T = {share:.4f} W + {latency:.3g} s + {a_step:.3g} s n."]
     return [*rows, "", f"![what each law is off by]({PLOT})"]
@@ -85,5 +89,8 @@ def rivals_figure(fits: Sequence[RivalFit]) -> Figure:
         if axis.lines[2:]:
             axis.legend(fontsize=8)
     axes.flat[0].set_ylabel("T by the law / T simulated")
-    figure.suptitle("each scene told by the fit to the others; hollow: few rays, not fitted", fontsize=9)
+    told = "each scene told by the fit to the others"
+    if not all(fit.by_others.all() for fit in fits):
+        told += f", by the fit to all where these have fewer than {LEAST_POINTS} frames"
+    figure.suptitle(f"{told}; hollow: few rays, not fitted", fontsize=9)
     return figure

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, SupportsIndex
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from raygrid.emulator.simulator import (
     LEAST_ACROSS,
     CellWork,
     Holding,
+    Model,
     check_count_fits,
     count_cell_work,
     few_pixels,
@@ -45,6 +46,7 @@ from raygrid.host.render.animation_jobs import still_job
 from raygrid.host.render.job import Job, Settings
 from raygrid.host.scene.load import load_scene
 from raygrid.host.scene.scene import Scene
+from raygrid.host.text.clean_text import printable
 from raygrid.host.text.misuse import ArrayMisuse, CostMisuse
 from raygrid.node.geometry import Batch, SurfaceSet
 from raygrid.node.protocol import Prices
@@ -152,11 +154,16 @@ def predict(
 
 def _shapes(arrays: Arrays) -> list[Shape]:
     """What arrays were asked for, one or several."""
-    one = isinstance(arrays, str) or (isinstance(arrays, tuple) and all(isinstance(n, int) for n in arrays))
+    one = isinstance(arrays, str) or (isinstance(arrays, tuple) and all(isinstance(n, SupportsIndex) for n in arrays))
     asked: Iterable[Any] = [arrays] if one else arrays
     try:
-        shapes = [parse_shape(array if isinstance(array, str) else "x".join(map(str, array))) for array in asked]
-    except (TypeError, ValueError) as error:
+        texts = [array if isinstance(array, str) else "x".join(map(str, array)) for array in asked]
+    except TypeError:  # what came, or a part of it, holds no numbers
+        came = printable(repr(arrays), 60)
+        raise ArrayMisuse(f"arrays came as {came}, wanted one or more such as 10x10x10 or (10, 10, 10)") from None
+    try:
+        shapes = [parse_shape(text) for text in texts]
+    except ValueError as error:
         raise ArrayMisuse(f"{error}") from None
     if not shapes:
         raise ArrayMisuse("no array came, wanted one or more such as 10x10x10")
@@ -228,18 +235,21 @@ class _Picture(NamedTuple):
 
 def _simulated(job: Job, holding: Holding, priced: tuple[Prices, Long], samples: float) -> list[_Picture]:
     """Simulate the smaller and the larger picture; the frame itself, and no other, if it is no larger."""
-    every, found = job.pixels * job.frame.samples, []
-    sides = [(samples, LEAST_ACROSS)]
-    if samples < every:
-        sides.insert(0, (samples / SMALLER, LEAST_ACROSS // 2))
-    for count, least in sides:
-        few = few_pixels(job.frame, count, least)
-        model = holding.model(few)
-        phase, pixels = trace(model, *priced)
-        out = read_out(model, priced[0], pixels).host
-        share = every / (few.width * few.height * few.samples)
-        found.append(_Picture(share, phase.ticks, float(phase.column("busy").max()), few.width * few.height, out))
-    return found
+    frames = [few_pixels(job.frame, samples)]
+    if frames[0] is not job.frame:
+        frames.insert(0, few_pixels(job.frame, samples / SMALLER, LEAST_ACROSS // 2))
+    return [_picture(job, holding.model(frame), priced) for frame in frames]
+
+
+def _picture(job: Job, model: Model, priced: tuple[Prices, Long]) -> _Picture:
+    """Simulate one picture of the frame and its read-out. The clocks of one phase are kept at a time: they are large."""
+    phase, pixels = trace(model, *priced)
+    ticks, busiest = phase.ticks, float(phase.column("busy").max())
+    del phase
+    out = read_out(model, priced[0], pixels).host
+    few = model.frame.width * model.frame.height
+    share = job.pixels * job.frame.samples / (few * model.frame.samples)
+    return _Picture(share, ticks, busiest, few, out)
 
 
 def _read_out(pictures: list[_Picture], job: Job, cost: CostModel) -> Estimate:

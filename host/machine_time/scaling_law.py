@@ -240,7 +240,7 @@ def _point(
 ) -> Point:
     job = still_job(scene, shape, Settings(size=size, **{"split": "uniform", **settings}))
     model = make_model(job.space, job.surfaces, job.frame, search)
-    phase, _ = trace(model, cost.prices("middle", search), cost.list_ticks("middle", search, model.held))
+    phase, _ = trace(model, cost.prices("middle", search), cost.list_ticks("middle", search, model.holding.held))
     busy = phase.column("busy") / max(phase.ticks, 1)
     rays, hops = int(phase.total[BORN + PRIMARY]), int(phase.total[SENT : SENT + PORTS].sum())
     seconds = cost.seconds(phase.ticks)

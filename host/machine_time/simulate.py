@@ -72,7 +72,7 @@ def simulate_job(
     surfaces, sums = ordered(job.surfaces), np.zeros((0, 3), np.int64)
     for level in LEVELS if band else ("middle",):
         prices = cost.prices(level, chosen)
-        ticks = cost.list_ticks(level, chosen, model.held)
+        ticks = cost.list_ticks(level, chosen, model.holding.held)
         traced, pixels = trace(model, prices, ticks, tell)
         seconds["trace"] += traced.seconds
         frames[level] = traced if level == "middle" else traced.without_clocks()

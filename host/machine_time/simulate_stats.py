@@ -86,7 +86,7 @@ def _total(phase: Phase, done: Simulated) -> Stats:
     counts = phase.total
     tests = counts[TESTS : TESTS + len(Kind)]
     if done.search == "list":  # every walk tests all that the node holds
-        tests = phase.column("walked") @ done.model.held
+        tests = phase.column("walked") @ done.model.holding.held
     return {
         "born": {kind.name.lower(): int(counts[BORN + kind]) for kind in PacketKind},
         "died": {kind.name.lower(): int(counts[DIED + kind]) for kind in PacketKind},
@@ -174,7 +174,7 @@ def records(done: Simulated) -> Iterator[dict[str, int]]:
         row = phase.nodes[node]
         yield {
             **dict(zip("xyz", index, strict=True)),
-            "surfaces": int(done.model.held[node].sum()),
+            "surfaces": int(done.model.holding.held[node].sum()),
             "samples": int(done.model.borders[node + 1] - done.model.borders[node]),
             "served": int(row["served"]),
             "walks": int(row["walked"]),

@@ -27,6 +27,7 @@ from numba import njit
 from raygrid.node.jit import cache
 from raygrid.node.jit.closures import name_closure
 from raygrid.node.jit.fast_load import LazyCache
+from raygrid.node.jit.value_types import type_of
 
 Function = Callable[..., Any]  # annotations inside kernels would never be checked, so they have none
 
@@ -39,7 +40,23 @@ def _compiled(function: Function, **options: Any) -> Function:
     dispatcher: Any = njit(**options)(function)
     if hasattr(dispatcher, "_cache"):  # without a compiler (NUMBA_DISABLE_JIT) it has none
         dispatcher._cache = LazyCache(function, cache.DIRECTORY)
+        dispatcher.typeof_pyval = _types_for(dispatcher)
     return cast(Function, dispatcher)
+
+
+def _types_for(dispatcher: Any) -> Callable[[Any], Any]:
+    """What a kernel asks for types of arguments that it has not met: types of ours, and what numba makes of all else."""
+    by_numba = dispatcher.typeof_pyval
+
+    def type_for(value: Any) -> Any:
+        try:
+            kind = type_of(value)
+        except Exception:  # numba knows what to say of it
+            return by_numba(value)
+        dispatcher._types_active_call.add(kind)
+        return kind
+
+    return type_for
 
 
 def is_on_disk(function: Function) -> bool:

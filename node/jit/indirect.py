@@ -14,15 +14,16 @@ from __future__ import annotations
 
 import hashlib
 from typing import TYPE_CHECKING, Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 from llvmlite import ir
-from numba import typeof
 from numba.core import cgutils, types
 from numba.core import config as _config
 from numba.extending import intrinsic
 
 from raygrid.node.jit.decorators import Function
 from raygrid.node.jit.intrinsics import FunctionAt
+from raygrid.node.jit.value_types import type_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -42,6 +43,8 @@ config: Any = _config  # its names are made at run time
 
 OTHER_TYPES = "a kernel was called by its address with arguments of other types than it was compiled for"
 _INTERPRETED: list[Function] = []  # kernels by their address, where nothing is compiled
+# what was asked for once, by numbers of types: nodes are forks, and ask for what is known
+_ADDRESSES: WeakKeyDictionary[Function, dict[tuple[int, ...], Address]] = WeakKeyDictionary()
 
 
 class Address(NamedTuple):
@@ -60,10 +63,17 @@ def address_of(kernel: Function, *arguments: Any) -> Address:
         if kernel not in _INTERPRETED:
             _INTERPRETED.append(kernel)
         return Address(_INTERPRETED.index(kernel), 0)
+    kinds = tuple(type_of(argument) for argument in arguments)
+    known, key = _ADDRESSES.setdefault(kernel, {}), tuple(kind._code for kind in kinds)
+    if key not in known:
+        known[key] = _address_for(kernel, kinds)
+    return known[key]
+
+
+def _address_for(kernel: Function, kinds: tuple[Type, ...]) -> Address:
     dispatcher: Any = kernel
-    kinds = tuple(typeof(argument) for argument in arguments)
     dispatcher.compile(kinds)
-    result = dispatcher.overloads[kinds]
+    result = dispatcher.overloads[kinds]  # it holds the types, so their numbers stay theirs
     if result.signature.return_type != types.int64:
         raise TypeError(f"{dispatcher.py_func.__qualname__} gives {result.signature.return_type}, wanted int64")
     address = result.library.get_pointer_to_function(result.fndesc.llvm_func_name)

@@ -19,7 +19,6 @@ from .frame import DIRECTIONAL as DIRECTIONAL
 from .frame import LIGHT_RECORD as LIGHT_RECORD
 from .frame import MATERIAL_RECORD as MATERIAL_RECORD
 from .frame import POINT as POINT
-from .frame_tables import IOR as IOR
 from .frame_tables import RULE_COLUMNS as RULE_COLUMNS
 from .frame_tables import SPECULAR as SPECULAR
 from .frame_tables import TRANSMISSION as TRANSMISSION

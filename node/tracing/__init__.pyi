@@ -24,8 +24,5 @@ from .step_tables import FOUND_DISTANCE as FOUND_DISTANCE
 from .step_tables import FOUND_OUT as FOUND_OUT
 from .step_tables import FOUND_POINT as FOUND_POINT
 from .step_tables import FOUND_TIME as FOUND_TIME
-from .step_tables import Found as Found
 from .step_tables import Outputs as Outputs
 from .step_tables import StepTables as StepTables
-from .work_queues import BYTES_A_PACKET as BYTES_A_PACKET
-from .work_queues import FIRST_QUEUE_ROOM as FIRST_QUEUE_ROOM

@@ -190,6 +190,27 @@ def unused_openings(modules: Modules, open_modules: Collection[str]) -> list[str
     return [f"{name} is listed as open, and no other layer imports it" for name in sorted(set(open_modules) - used)]
 
 
+def unused_faces(modules: Modules, without: Collection[str] = ()) -> list[str]:
+    """Names in a package's stub that no other layer takes; without: `package.name` of some that stay all the same."""
+    unused = _untaken(modules) - set(without)
+    return [f"{name} is in the stub of its package, and no other layer takes it" for name in sorted(unused)]
+
+
+def stale_faces(modules: Modules, known: Collection[str]) -> list[str]:
+    """Names that are said to be taken by no other layer, and are taken or gone."""
+    return [f"{name} is taken, or in no stub" for name in sorted(set(known) - _untaken(modules))]
+
+
+def _untaken(modules: Modules) -> set[str]:
+    taken = {
+        f"{taken.source}.{taken.name}"
+        for module in modules.values()
+        for taken in module.imports
+        if _layer(taken.source) != module.layer
+    }
+    return {f"{module.name}.{name}" for module in modules.values() for name in module.faces} - taken
+
+
 def cycles(modules: Modules, without: Collection[Edge] = ()) -> list[str]:
     """Modules that import each other, over however many; imports of types alone count, and those in functions."""
     return [f"{' '.join(ring)} import each other" for ring in _rings(edges(modules) - set(without))]

@@ -18,9 +18,15 @@ from raygrid.host.render.job import Job, Settings, make_job
 from raygrid.host.scene.load import load_scene
 from raygrid.host.scene.scene import Scene
 from raygrid.node.geometry.grid_walk import PORTS
+from raygrid.node.geometry.lattice import Space
+from raygrid.node.geometry.surfaces import Kind, SurfaceSet
+from raygrid.node.protocol.frame_tables import Frame
 from raygrid.node.protocol.timestamps import prices_order
 from support import paths
+from support.frames import make_frame, orthographic
 from support.render import SCENES, shared
+from support.space import even_space
+from support.surfaces import batch
 
 Shape = tuple[int, int, int]
 PATIENCE = 250.0  # seconds; a wave in memory comes back when all is done
@@ -49,6 +55,22 @@ def scene_of(name: str) -> Scene:
 def job_of(name: str, shape: Shape, size: tuple[int, int], split: str = "uniform", **settings: Any) -> Job:
     """A small frame of a scene."""
     return make_job(scene_of(name), shape, Settings(size=size, split=split, **settings))
+
+
+class Setting(NamedTuple):
+    """What a simulation of something made by hand takes."""
+
+    space: Space
+    surfaces: SurfaceSet
+    frame: Frame
+
+
+def rays_to_a_wall(shape: Shape, pixels: int) -> Setting:
+    """Parallel rays along +x from the first cell to a triangle in the last one; no light, so nothing comes of it."""
+    wall = batch(Kind.TRIANGLE, [np.array([0.45, -0.4, -0.4, 0.45, 0.4, -0.4, 0.45, 0.0, 0.45])])
+    size = (pixels, 1)
+    camera = orthographic([-2.0, 0.0, 0.0], [1, 0, 0], 0.0005, size, up=(0, 0, 1))
+    return Setting(even_space(shape), SurfaceSet((wall,)), make_frame(camera, size))
 
 
 def simulated(job: Job, cost: str | CostModel, search: str | None = None, **options: Any) -> Simulated:

@@ -18,8 +18,10 @@ from support.modules import (
     read_modules,
     relative_imports,
     stale_cycles,
+    stale_faces,
     typed_pointers,
     unknown_imports,
+    unused_faces,
     unused_openings,
     wrong_layers,
 )
@@ -55,6 +57,9 @@ OPEN = {  # modules that other layers may import as they are
 KNOWN_CYCLES: dict[
     tuple[str, str], str
 ] = {}  # an import that closes one -> why it is still there; empty is what we want
+KNOWN_UNTAKEN = {  # a name in a stub that no other layer takes -> why it is still there; empty is what we want
+    "node.geometry.passage": "taken by `node.tracing` alone, and goes with the next change of that layer",
+}
 FENCES = {  # insides of libraries, which change without notice -> who may know them
     "llvmlite": ("node.jit",),
     "numba.core": ("node.jit",),
@@ -68,6 +73,8 @@ RULES = {
     "layers": wrong_layers,
     "chains": partial(against_chains, chains=CHAINS),
     "faces": partial(past_faces, open_modules=OPEN),
+    "names that no other layer takes": partial(unused_faces, without=KNOWN_UNTAKEN),
+    "known names that are taken or gone": partial(stale_faces, known=KNOWN_UNTAKEN),
     "open modules that are not used": partial(unused_openings, open_modules=OPEN),
     "cycles": partial(cycles, without=KNOWN_CYCLES),
     "known cycles that are gone": partial(stale_cycles, known=KNOWN_CYCLES),
@@ -142,6 +149,20 @@ PLANTED = {  # rule -> (files, what it says of them)
          "host.text.three:1 takes kernel from node.jit.decorators, past its face",
          "host.text.two:1 takes part from node.jit, past its face"],
     ),
+    "names that no other layer takes": (
+        {
+            "node/jit/__init__.pyi": "from .decorators import kernel as kernel\nfrom .decorators import part as part\n"
+            "from .decorators import lean as lean\nfrom . import cache as cache\n",
+            "node/jit/__init__.py": FACE,
+            "node/jit/decorators.py": "",
+            "node/jit/cache.py": "",
+            "node/links/link.py": "from raygrid.node.jit import part\n",
+            "host/text/one.py": "def f():\n    from raygrid.node.jit import kernel\n",
+            "host/text/two.py": "from raygrid.node import jit\na = jit.lean\n",
+        },
+        ["node.jit.cache is in the stub of its package, and no other layer takes it",
+         "node.jit.part is in the stub of its package, and no other layer takes it"],
+    ),
     "cycles": (
         {
             "node/jit/cache.py": "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from raygrid.node.jit import lanes\n",
@@ -208,6 +229,7 @@ def test_what_is_listed_and_no_longer_so_is_seen(tmp_path):
     (tmp_path / "node" / "remarks.py").write_text("")
     modules = read_modules(tmp_path)
     assert unused_openings(modules, ["node.errors"]) == ["node.errors is listed as open, and no other layer imports it"]
+    assert stale_faces(modules, ["node.jit.part"]) == ["node.jit.part is taken, or in no stub"]
     assert stale_cycles(modules, [("node.errors", "node.remarks")]) == ["node.errors -> node.remarks closes no cycle"]
 
 

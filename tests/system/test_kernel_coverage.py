@@ -8,6 +8,7 @@ from support import paths
 
 sys.path.insert(0, str(paths.ROOT / "benchmarks"))
 import kernel_coverage
+from kernel_functions import kernels
 
 TEXT = """
 @part
@@ -15,32 +16,46 @@ def compiled(a):
     return a
 
 @formula(takes=(F64,), gives=F64)
-def written_once(a: Lanes):
+def written_once(a):
     def inner(b):
         return b
     return inner(a)
 
-def staged(p: Three):
+@jit.eight(takes=_TAKES)
+def by_eights(a):
+    pass
+
+def staged(p, n: tuple[lanes.Lanes, ...]):
     return p
 
-def plain(a):
+def told_apart(planes: ThreePlanes):
+    return planes
+
+@made_of_parts
+def make_step(parts):
+    @part
+    def step(a):
+        return a
+    return step
+
+def both(a):
     return a
 
+both_part = part(both)
+
+def plain(a):
+    return both(a)
+
 class Holder:
+    @part
     def method(self):
         return 1
 """
 
 
-def test_kernels_are_told_by_decorators_and_by_what_formulas_are_given():
-    found = dict(kernel_coverage.kernels(ast.parse(TEXT)))
-    assert found == {
-        "compiled": True,
-        "written_once": True,
-        "written_once.inner": False,
-        "staged": True,
-        "plain": False,
-    }
+def test_kernels_are_told_by_decorators_by_calls_and_by_what_formulas_are_given():
+    found = set(kernels(ast.parse(TEXT)))
+    assert found == {"compiled", "written_once", "by_eights", "staged", "make_step.step", "both"}
 
 
 def test_lines_of_kernels_alone_count(tmp_path, monkeypatch, capsys):

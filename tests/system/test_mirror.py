@@ -87,7 +87,7 @@ TESTED_ELSEWHERE: dict[str, dict[str, str]] = {
         "node.runtime.self_test": "node/programs/test_programs.py",
         "node.timed.lookahead": "node/timed/test_timed_processor.py",
         "node.tracing.local_geometry": "node/geometry/test_bvh_refit.py",
-        "emulator.analysis.requery": "emulator/analysis/test_provenance.py",
+        "emulator.analysis.sample_facts": "emulator/analysis/test_provenance.py",
         "emulator.analysis.single_step": "emulator/analysis/test_deadlock_model.py",
         "emulator.driver.driver": "emulator/driver/test_memory_array.py",
         "emulator.driver.increments": "node/runtime/test_increments.py",

@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 
 import numpy as np
 import pytest
-from support import paths
 from support.cli import here, one_line
-from support.frames import make_frame, orthographic
+from support.memory import memory_taken
 from support.render import SCENES
-from support.space import even_space
-from support.surfaces import batch
-from support.timed import books_of, job_of, simulated
+from support.timed import books_of, job_of, rays_to_a_wall, simulated
 
 from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.emulator.simulator import simulator
@@ -29,9 +24,9 @@ from raygrid.host.machine_time import plots
 from raygrid.host.machine_time.cost_models import load_cost_model
 from raygrid.host.machine_time.simulate_stats import make_stats
 from raygrid.host.render.frame import render_job
-from raygrid.node.errors import TooLarge
+from raygrid.node.errors import ArrayError, TooLarge
 from raygrid.node.geometry.grid_walk import PORTS
-from raygrid.node.geometry.surfaces import Kind, SurfaceSet
+from raygrid.node.geometry.surfaces import Kind
 from raygrid.node.protocol.counters import BORN, BOXES, COUNTS, HITS, SENT, TESTS, WALKS
 from raygrid.node.protocol.packets import PRIMARY, RETURN
 from raygrid.node.protocol.timestamps import Prices
@@ -81,6 +76,24 @@ def test_the_same_trace_every_time_and_another_for_other_costs():
     assert books_of(simulated(job, "t800")).trace != one.trace
 
 
+def test_frames_of_any_size_are_models_of_one_holding():
+    jobs = [job_of("kinds.nff", (3, 3, 3), size) for size in ((20, 20), (9, 7))]
+    holding = simulator.hold(jobs[0].space, jobs[0].surfaces, "tree")
+    for job in jobs:
+        ours = holding.model(job.frame)
+        whole = simulator.make_model(job.space, job.surfaces, job.frame, "tree")
+        assert np.array_equal(ours.samples, whole.samples)
+        assert np.array_equal(ours.borders, whole.borders)
+        assert np.array_equal(ours.holding.held, whole.holding.held)
+        assert np.array_equal(ours.holding.roots, whole.holding.roots)
+        assert set(whole.seconds) == {"hold", "order"}
+
+
+def test_a_search_that_is_none_is_refused():
+    with pytest.raises(ArrayError, match="a search came as 'grid', wanted list or tree"):
+        simulator.hold(*rays_to_a_wall((1, 1, 1), 1)[:2], "grid")
+
+
 # --- closed forms --------------------------------------------------------------------------------
 
 PACKET, WALK, PRIMARY_COST, HAND_ON, HIT, TEST, TRANSMIT, LATENCY = 3, 101, 41, 7, 1009, 17, 11, 5
@@ -96,15 +109,11 @@ def prices(by_processor=0, transmit=TRANSMIT, hit=HIT):
 
 
 def traced(shape, pixels, of):
-    """Parallel rays along +x from the first cell to a triangle in the last one; no light, so nothing comes of it."""
-    space = even_space(shape)
-    wall = batch(Kind.TRIANGLE, [np.array([0.45, -0.4, -0.4, 0.45, 0.4, -0.4, 0.45, 0.0, 0.45])])
-    size = (pixels, 1)
-    camera = orthographic([-2.0, 0.0, 0.0], [1, 0, 0], 0.0005, size, up=(0, 0, 1))
-    model = simulator.make_model(space, SurfaceSet((wall,)), make_frame(camera, size), "list")
-    assert model.held.sum() == 1
-    assert model.held[-1, Kind.TRIANGLE] == 1
-    return simulator.trace(model, of, np.asarray(model.held.sum(1) * TEST, np.int64))[0]
+    """Of rays_to_a_wall, the phase."""
+    model = simulator.make_model(*rays_to_a_wall(shape, pixels), "list")
+    assert model.holding.held.sum() == 1
+    assert model.holding.held[-1, Kind.TRIANGLE] == 1
+    return simulator.trace(model, of, np.asarray(model.holding.held.sum(1) * TEST, np.int64))[0]
 
 
 @pytest.mark.parametrize("by_processor", [0, 1])
@@ -207,37 +216,14 @@ def test_command(tmp_path):
     assert np.array_equal(sums, emulated_untimed(job_of("tiny.nff", (2, 2, 2), (24, 20))).sums)
 
 
-TAKEN = """
-import sys
-from pathlib import Path
-
-sys.path.insert(0, sys.argv[1])
+def test_what_is_held_against_memory_is_what_is_taken():
+    """All costs, set-up and read-out: each phase has books of its own, and not all are there at once."""
+    prepare = """
 from support.timed import job_of, simulated
-
-
-def peak():
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return int(next(line.split()[1] for line in lines if line.startswith("VmHWM:"))) * 1024
-
-
 simulated(job_of("tiny.nff", (2, 2, 2), (8, 8)), "8086", band=True, around=True)  # kernels are loaded
 job = job_of("tiny.nff", (60, 60, 60), (8, 8))
-Path("/proc/self/clear_refs").write_text("5")
-before = peak()
-simulated(job, "8086", band=True, around=True)
-print(peak() - before)
 """
-
-
-def test_what_is_held_against_memory_is_what_is_taken():
-    """All costs, set-up and read-out: each phase has books of its own, and not all are there at once.
-
-    In a process of its own: one that has freed memory before takes that again, and its peak hardly rises.
-    """
-    command = [sys.executable, "-c", TAKEN, str(paths.ROOT / "tests")]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=280)
-    assert run.returncode == 0, run.stderr
-    taken, nodes = int(run.stdout.split()[-1]), 60**3
+    taken, nodes = memory_taken(prepare, 'simulated(job, "8086", band=True, around=True)'), 60**3
     assert taken <= nodes * (NODE_BYTES + 2 * CLOCK_BYTES) + 16_000_000  # packets in flight, tables
     assert taken >= nodes * 2 * CLOCK_BYTES * 0.5
 

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
-from support.timed import job_of
+from support.timed import job_of, rays_to_a_wall
 
 from raygrid.emulator.simulator import simulator
+from raygrid.emulator.simulator.simulator import hold
 from raygrid.emulator.simulator.work_count import (
     LEAST_ACROSS,
+    MOST_ACROSS,
     check_count_fits,
     count_cell_work,
     few_pixels,
-    hold,
     price_lists,
     steps_of_a_sample,
 )
@@ -53,21 +53,19 @@ def test_whole_frames_cost_each_cell_what_the_simulator_has_it_do(name, shape, s
     assert work.steps == phase.column("served").sum() - work.born.sum()  # rays that are born are no packets served
 
 
-def test_the_model_of_a_holding_is_that_of_the_simulator():
-    job = job_of("kinds.nff", (3, 3, 3), (20, 20))
-    ours = hold(job.space, job.surfaces, "tree").model(job.frame)
-    whole = simulator.make_model(job.space, job.surfaces, job.frame, "tree")
-    for name in ("held", "roots", "samples", "borders"):
-        assert np.array_equal(getattr(ours, name), getattr(whole, name))
-
-
-def test_a_sample_alone_takes_as_long_as_in_the_simulator():
-    """One pixel on an array of one: nobody meets anybody, so the longest sample is the frame."""
-    job = job_of("tiny.nff", (1, 1, 1), (1, 1))
-    holding, prices, walks, work = counted(job, "list", costs=("8086",))
-    phase, _ = simulator.trace(holding.model(job.frame), prices[0], walks[0])
-    assert 0 < work.longest[0] <= phase.ticks
-    assert work.mean[0] == work.longest[0]
+@pytest.mark.parametrize("cells", [1, 2, 7])
+def test_a_sample_alone_takes_as_long_as_in_the_simulator(cells):
+    """One ray that brings nothing home meets nobody, so the longest sample is the frame."""
+    space, surfaces, frame = rays_to_a_wall((cells, 1, 1), 1)
+    holding = hold(space, surfaces, "list")
+    models = [load_cost_model(name) for name in COSTS]
+    prices = [model.prices("middle", "list") for model in models]
+    walks = [model.list_ticks("middle", "list", holding.held) for model in models]
+    work = count_cell_work(holding, frame, price_lists(prices, walks), 1)
+    assert work.steps == cells
+    for row in range(len(COSTS)):
+        phase, _ = simulator.trace(holding.model(frame), prices[row], walks[row])
+        assert work.longest[row] == phase.ticks > 0
 
 
 def test_fewer_pixels_have_a_share_and_about_the_same_work():
@@ -83,6 +81,15 @@ def test_few_pixels_are_the_frame_itself_if_it_has_no_more():
     assert few_pixels(frame, 600) is frame
     assert few_pixels(frame, 599) is not frame
     assert few_pixels(frame, 1).width == LEAST_ACROSS
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+def test_there_is_memory_for_whatever_is_asked_for(samples):
+    """A frame is given back as it is up to as many samples as memory is looked at for."""
+    frame = job_of("kinds.nff", (1, 1, 1), (MOST_ACROSS, MOST_ACROSS // samples), samples=samples).frame
+    assert few_pixels(frame, 3e8) is frame
+    few = few_pixels(frame._replace(height=frame.height + 1), 3e8)
+    assert few.width * few.height * few.samples <= MOST_ACROSS**2
 
 
 def test_steps_of_a_sample_are_those_of_the_frame():

@@ -76,6 +76,23 @@ def test_a_single_scene_has_nothing_out_of_sample():
     assert "With a single scene there is nothing out of sample" in "\n".join(rival_rows([found], 1))
 
 
+def test_frames_whose_others_are_too_few_are_not_out_of_sample():
+    """Eight frames can be fitted and tell the four of b; those four cannot tell the eight of a."""
+    points = frames(MADE["1983"], scenes=("a",)) + frames(MADE["1983"], scenes=("b",), ns=(1, 2))
+    few = replace(points[0], rays=1, seconds=1.0)
+    found = fit_rival("1983", [*points, few, replace(few, scene="b", seconds=2.0)])
+    assert (found.inside.frames, found.outside.frames, found.few.frames) == (12, 4, 1)
+    assert [p.scene for p, told in zip(found.frames, found.by_others, strict=True) if told] == ["b"] * 5
+    said = "square: 9 of 13 frames are not told out of sample: the other scenes have fewer than the 6 frames"
+    assert said in "\n".join(rival_rows(rivals_of([*points, few]), 2))
+
+
+def test_two_scenes_too_small_to_tell_each_other_have_nothing_out_of_sample():
+    points = frames(MADE["1983"], scenes=("a", "b"), ns=(1, 2))
+    found = fit_rival("1983", [*points, replace(points[0], rays=1)])
+    assert (found.inside.frames, found.outside, found.few) == (8, None, None)
+
+
 def test_too_few_frames_are_not_fitted():
     assert fit_rival("busiest", frames(MADE["busiest"], scenes=("a",), ns=(1, 2))) is None
     assert "too few frames" in "\n".join(rival_rows([], 2))

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 
 import pytest
 from support.cli import here, one_line
+from support.memory import memory_taken
 from support.render import SCENES
 from support.timed import job_of, scene_of
 
 import raygrid
+from raygrid.emulator.simulator import work_count
+from raygrid.emulator.simulator.work_count import CELL_BYTES, LIST_BYTES
 from raygrid.host.machine_time import predict as module
-from raygrid.host.machine_time.cost_models import load_cost_model
+from raygrid.host.machine_time.cost_models import LEVELS, load_cost_model
 from raygrid.host.machine_time.predict import Estimate, predict
 from raygrid.host.machine_time.simulate import simulate_job
 from raygrid.node.errors import ArrayError, CostError, SceneError
@@ -81,6 +82,33 @@ def test_large_scenes_are_flooded_in_part(monkeypatch):
     assert part.set_up.seconds == pytest.approx(whole.set_up.seconds, rel=0.7)
 
 
+@pytest.mark.usefixtures("small_budget")
+def test_frames_larger_than_what_fits_are_told_from_two_pictures(monkeypatch):
+    """However many samples the budget would pay for: there is memory for so many and no more."""
+    monkeypatch.setattr(work_count, "MOST_ACROSS", 24)
+    (told,) = predict(KINDS, "2x2x2", "unit", search="list", size=(40, 30), split="uniform")
+    assert not told.whole
+    model = load_cost_model("unit")
+    assert told.frame.seconds == pytest.approx(
+        model.seconds(simulated("kinds.nff", (2, 2, 2), (40, 30), "unit").ticks), rel=0.2
+    )
+
+
+def test_what_is_held_against_memory_is_what_is_taken():
+    """The counts by all costs, and the clocks of one phase at a time."""
+    prepare = """
+from raygrid.host.machine_time.predict import predict
+from support.timed import scene_of
+scene = scene_of("tiny.nff")
+options = {"cost": "8086", "size": (8, 8), "split": "uniform"}
+predict(scene, "2x2x2", **options)  # kernels are loaded
+"""
+    taken, cells = memory_taken(prepare, 'predict(scene, "60x60x60", **options)'), 60**3
+    counted = CELL_BYTES + len(LEVELS) * LIST_BYTES
+    assert taken <= cells * counted + 16_000_000  # packets in flight, tables
+    assert taken >= cells * counted * 0.5
+
+
 def test_the_python_interface():
     found = raygrid.predict(scene_of("tiny.nff"), [(1, 1, 1), "2x2x2"], cost="unit", size=(12, 9))
     assert [one.array for one in found] == [(1, 1, 1), (2, 2, 2)]
@@ -96,6 +124,14 @@ def test_the_python_interface():
         ([], {}, ArrayError, "no array came, wanted one or more such as 10x10x10"),
         ("2x2", {}, ArrayError, "2x2"),
         ([(2, 0, 2)], {}, ArrayError, "2x0x2"),
+        (
+            [10, 10, 10],
+            {},
+            ArrayError,
+            r"arrays came as \[10, 10, 10\], wanted one or more such as 10x10x10 or \(10, 10, 10\)",
+        ),
+        (None, {}, ArrayError, r"arrays came as None, wanted one or more such as 10x10x10 or \(10, 10, 10\)"),
+        ([(2, 2, 2.5)], {}, ArrayError, "2x2x2.5"),
         ("2x2x2", {"cost": "z80"}, CostError, "a cost model came as 'z80'"),
         ("2x2x2", {"search": "grid"}, CostError, "a search came as 'grid', wanted list or tree"),
         ("2x2x2", {"split": "fair"}, SceneError, "a split came as 'fair'"),
@@ -138,12 +174,3 @@ def test_bad_requests_are_one_line():
         here("predict", KINDS, "--cost", "z80"), 2, r"raygrid predict: a cost model came as 'z80', wanted one of .*"
     )
     one_line(here("predict", "none.nff"), 1, r"raygrid: none.nff: .*")
-
-
-def test_plots_and_predictions_leave_the_backend_alone():
-    code = (
-        "import matplotlib; matplotlib.use('svg'); from raygrid.host.machine_time.plots import new_figure;"
-        "new_figure(2, 2); print(matplotlib.get_backend())"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
-    assert done.stdout.strip() == "svg"

@@ -1,4 +1,4 @@
-"""Asks for what a step does not say of a sample: where it begins, what it sees outside, what was brought home.
+"""Tells what one ray step does not: where a sample begins, what it sees outside, what was brought home.
 
 For explanations, never for pictures. All by the functions that the step calls.
 """
