@@ -16,7 +16,7 @@ import contextlib
 import math
 import os
 import secrets
-from collections.abc import AsyncGenerator, AsyncIterator, Generator, Iterable, Sequence
+from collections.abc import AsyncGenerator, AsyncIterator, Coroutine, Generator, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, Unpack, cast
@@ -25,8 +25,8 @@ from raygrid.host.client.async_connection import AsyncConnection, AsyncEventList
 from raygrid.host.client.client import RESET_SECONDS, Watch, given_job, wait_gone
 from raygrid.host.client.connection import ANSWER_SECONDS
 from raygrid.host.client.facts import ENDED, JobFacts, StatusFacts
-from raygrid.host.client.job_events import Result, check_done, result_of, tell
-from raygrid.host.client.picture_folder import PictureFolder, frames_asked
+from raygrid.host.client.job_events import Result, check_done, end_of, result_of, tell
+from raygrid.host.client.picture_folder import PictureFolder, all_frames, runs_of
 from raygrid.host.client.protocol import Message
 from raygrid.host.client.service_files import DEFAULT_NAME
 from raygrid.host.client.submission import GivenJob, Name, checked_message, plain, submission_of
@@ -34,7 +34,7 @@ from raygrid.host.image.frames import Ends
 from raygrid.host.render.given_settings import GivenSettings
 from raygrid.host.render.progress import ProgressHook, following
 from raygrid.host.text.clean_text import shown
-from raygrid.node.errors import ArrayError
+from raygrid.node.errors import ArrayError, RaygridError
 
 if TYPE_CHECKING:
     from raygrid.host.image.picture import Picture
@@ -76,6 +76,7 @@ class AsyncService:
     def __init__(self, connection: AsyncConnection) -> None:
         self._connection, record = connection, connection.record
         self._client = f"client {os.getpid()}.{secrets.token_hex(4)}"
+        self._late: set[asyncio.Task[None]] = set()  # which do away with what nobody waits for
         self.name, self.shape, self.pid = record.name, record.shape, record.pid
 
     def __repr__(self) -> str:
@@ -98,7 +99,7 @@ class AsyncService:
     ) -> Picture:
         """Render a scene and give the picture back. Arguments and errors as of `Service.render`."""
         given = given_job(settings, budget, program, priority)
-        with await asyncio.to_thread(PictureFolder, scene, False) as folder:
+        async with self._folder(scene, several=False) as folder:
             (picture,) = [picture async for picture in self._pictures(folder, None, progress, given)]
         return picture
 
@@ -115,11 +116,30 @@ class AsyncService:
     ) -> AsyncIterator[Picture]:
         """Render frames of a shot one after the other. Arguments and errors as of `Service.render_frames`."""
         given = given_job(settings, budget, program, priority)
-        with await asyncio.to_thread(PictureFolder, scene, True) as folder:
-            for ends in await asyncio.to_thread(frames_asked, folder.scene, frames):
+        async with self._folder(scene, several=True) as folder:
+            if frames is None:
+                outside = (await self.status())["outside"]
+                runs = await asyncio.to_thread(all_frames, folder.scene, outside)
+            else:
+                runs = runs_of(frames)
+            for ends in runs:
                 async with contextlib.aclosing(self._pictures(folder, ends, progress, given)) as pictures:
                     async for picture in pictures:
                         yield picture
+
+    @contextlib.asynccontextmanager
+    async def _folder(self, scene: SceneLike, several: bool) -> AsyncIterator[PictureFolder]:
+        """A folder for pictures, which threads make and remove: what lies there takes long to write, and to remove."""
+        making = asyncio.ensure_future(asyncio.to_thread(PictureFolder, scene, several))
+        try:
+            folder = await asyncio.shield(making)
+        except asyncio.CancelledError:
+            self._leave(_remove(making))
+            raise
+        try:
+            yield folder
+        finally:
+            await asyncio.shield(asyncio.ensure_future(asyncio.to_thread(folder.close)))
 
     async def _pictures(
         self, folder: PictureFolder, frames: Ends | None, progress: ProgressHook | bool, given: GivenJob
@@ -129,7 +149,7 @@ class AsyncService:
             folder.scene, folder.output, self._client, {**given, "frames": frames, "stats": folder.stats}
         )
         with following(progress, folder.title) as hook, self._connection.listen() as listener:
-            job = (await self._connection.ask(checked_message(asked, follow=True), listener=listener))["job"]
+            job = await self._submitted(checked_message(asked, follow=True), listener)
             try:
                 async for event in listener.follow():
                     tell(event, folder.title, hook)
@@ -141,6 +161,26 @@ class AsyncService:
                 with contextlib.suppress(ArrayError):
                     await self.cancel([job])
                 raise
+
+    async def _submitted(self, message: Message, listener: AsyncEventListener) -> int:
+        """Submit a job; returns its number. If this is cancelled the job is cancelled, too, as soon as its number has come."""
+        asking = asyncio.ensure_future(self._connection.ask(message, listener=listener))
+        try:
+            return int((await asyncio.shield(asking))["job"])
+        except asyncio.CancelledError:
+            self._leave(self._drop(asking))
+            raise
+
+    def _leave(self, work: Coroutine[Any, Any, None]) -> None:
+        """Let this be done by the time that the connection is closed."""
+        late = asyncio.get_running_loop().create_task(work)
+        self._late.add(late)
+        late.add_done_callback(self._late.discard)
+
+    async def _drop(self, asking: asyncio.Future[Message]) -> None:
+        """Cancel a job whose number is still to come."""
+        with contextlib.suppress(ArrayError):
+            await self.cancel([(await asking)["job"]])
 
     async def events(self, job: int) -> AsyncIterator[Message]:
         """The events of a job from now on (docs/service.md), the last of which is its end.
@@ -165,7 +205,7 @@ class AsyncService:
     async def _rest(self, facts: Message, listener: AsyncEventListener) -> AsyncIterator[Message]:
         """What is still to be told of a job: its end alone, if it has ended."""
         if facts["state"] in ENDED:
-            yield {**facts, "is": "event", "what": "end"}
+            yield end_of(facts)
             return
         async for event in listener.follow():
             yield event
@@ -200,14 +240,24 @@ class AsyncService:
         return int(answer["unfinished"])
 
     async def close(self) -> None:
-        """Close the connection."""
-        await self._connection.close()
+        """Close the connection, when jobs and folders that nobody waits for any more are done away with."""
+        try:
+            if self._late:
+                await asyncio.wait(self._late)
+        finally:
+            await self._connection.close()
 
     async def __aenter__(self) -> Self:
         return self
 
     async def __aexit__(self, *_: object) -> None:
         await self.close()
+
+
+async def _remove(making: asyncio.Future[PictureFolder]) -> None:
+    """Remove a folder that is still being made."""
+    with contextlib.suppress(RaygridError, OSError):
+        await asyncio.to_thread((await making).close)
 
 
 class Connecting:

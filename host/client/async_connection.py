@@ -25,6 +25,7 @@ from raygrid.host.client.connection import (
     why_broken,
 )
 from raygrid.host.client.facts import ENDED
+from raygrid.host.client.job_events import end_of
 from raygrid.host.client.protocol import Message
 from raygrid.host.client.service_files import ServiceRecord, find
 from raygrid.node.errors import ArrayError, ProtocolError
@@ -67,7 +68,7 @@ class AsyncEventListener:
                 facts = await self._connection.ask({"do": "follow", "job": self.job})
                 if facts["state"] not in ENDED:
                     continue
-                event = {**facts, "is": "event", "what": "end"}
+                event = end_of(facts)
             if event is None:
                 raise ArrayError(self._connection.why_broken)
             what = event["what"]

@@ -20,10 +20,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Self, Unpack, cast
 
-from raygrid.host.client.connection import ANSWER_SECONDS, NO_JOB, Connection
+from raygrid.host.client.connection import ANSWER_SECONDS, NO_JOB, Connection, EventListener
 from raygrid.host.client.facts import ENDED, JobFacts, StatusFacts
-from raygrid.host.client.job_events import Result, check_done, result_of, tell
-from raygrid.host.client.picture_folder import PictureFolder, frames_asked
+from raygrid.host.client.job_events import Result, check_done, end_of, result_of, tell
+from raygrid.host.client.picture_folder import PictureFolder, all_frames, runs_of
 from raygrid.host.client.protocol import Message
 from raygrid.host.client.service_files import DEFAULT_NAME, ServiceRecord, find
 from raygrid.host.client.submission import GivenJob, Name, checked_message, plain, submission_of
@@ -133,7 +133,8 @@ class Service:
         The others, and what is raised, as for `render`.
         """
         with PictureFolder(scene, several=True) as folder:
-            for ends in frames_asked(folder.scene, frames):
+            runs = all_frames(folder.scene, self.status()["outside"]) if frames is None else runs_of(frames)
+            for ends in runs:
                 yield from self._pictures(folder, ends, progress, given_job(settings, budget, program, priority))
 
     def _pictures(
@@ -144,28 +145,35 @@ class Service:
             folder.scene, folder.output, self._client, {**given, "frames": frames, "stats": folder.stats}
         )
         with following(progress, folder.title) as hook, self._connection.listen(NO_JOB) as listener:
-            job = self._connection.ask(checked_message(asked, follow=True), listener=listener)["job"]
             try:
+                job = self._connection.ask(checked_message(asked, follow=True), listener=listener)["job"]
                 for event in listener.follow():
                     tell(event, folder.title, hook)
                     if event["what"] == "frame":
                         yield folder.take(event["frame"])
                     elif event["what"] == "end":
                         check_done(job, event)
-            except BaseException:
-                with contextlib.suppress(ArrayError):
-                    self.cancel([job])
+            except BaseException as error:
+                self._drop(listener, interrupted=not isinstance(error, Exception))
                 raise
 
+    def _drop(self, listener: EventListener, interrupted: bool) -> None:
+        """Cancel the job of a listener, whose pictures nobody takes; one that is just being submitted, too, if that was
+        interrupted."""
+        with contextlib.suppress(ArrayError):
+            if listener.job == NO_JOB and interrupted:
+                self.cancel([])  # answers come in turn: the one that names the job comes before this one's
+            if listener.job:
+                self.cancel([listener.job])
+
     def wait(self, job: int, watch: Watch | None = None) -> Result:
-        """Wait until a job has ended. `watch` is called with each event (docs/service.md): progress, frames, remarks.
+        """Wait until a job has ended. `watch` is called with each event (docs/service.md): progress, frames, remarks, the end.
 
         Raises ArrayError if it failed or was cancelled, if there is no such job, and if the array ends.
         """
         with self._connection.listen(job) as listener:
             facts = self._connection.ask({"do": "follow", "job": job})
-            end = facts
-            for event in () if facts["state"] in ENDED else listener.follow():
+            for event in [end_of(facts)] if facts["state"] in ENDED else listener.follow():
                 end = event
                 if watch is not None:
                     watch(event)

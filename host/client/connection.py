@@ -22,6 +22,7 @@ from typing import TypeVar
 
 from raygrid.emulator.topology import LONGEST_PATH, STATES, process_state
 from raygrid.host.client.facts import ENDED
+from raygrid.host.client.job_events import end_of
 from raygrid.host.client.protocol import VERSION, Message, message_splitter, pack, unsendable
 from raygrid.host.client.service_files import SOCKET, TOKEN, ServiceRecord, check_private, read_private
 from raygrid.node.errors import ArrayError, ProtocolError
@@ -69,7 +70,7 @@ class EventListener:
                 facts = self._connection.ask({"do": "follow", "job": self.job})
                 if facts["state"] not in ENDED:
                     continue
-                event = {**facts, "is": "event", "what": "end"}
+                event = end_of(facts)
             what = event["what"]
             yield event
 

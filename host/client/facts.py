@@ -137,4 +137,5 @@ class StatusFacts(TypedDict):
     clients: int
     refused: dict[str, int]
     journal: JournalFacts
+    outside: bool
     prometheus: int | None

@@ -28,6 +28,11 @@ class Result:
     skipped: int
 
 
+def end_of(facts: Message) -> Message:
+    """The end of a job that has ended, made of what is said of it: as who follows it is told."""
+    return {**facts, "is": "event", "what": "end"}
+
+
 def check_done(job: int, end: Message) -> None:
     """Raise ArrayError for the end of a job that is not done, saying what became of it."""
     if end["state"] == "done":

@@ -10,6 +10,7 @@ import json
 import os
 import sys
 import tempfile
+import time
 from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
@@ -22,7 +23,10 @@ if TYPE_CHECKING:
     from raygrid.host.image.picture import Picture
     from raygrid.host.scene.load import SceneLike
 
+OUTSIDE = "raygrid up --allow-outside"  # lets an array that stays read files outside the folders of scenes
 PREFIX = "pictures-of-raygrid-"
+ATTEMPTS = 8  # to remove a folder
+RETRY_SECONDS = 0.1  # before the next
 
 
 class PictureFolder:
@@ -37,13 +41,13 @@ class PictureFolder:
         """Make the folder. Raises ArrayError if that is impossible, or for a scene that was read already; SceneError for what
         is no scene."""
         try:
-            self._folder = tempfile.TemporaryDirectory(prefix=PREFIX)
+            self._folder = tempfile.TemporaryDirectory(prefix=PREFIX, ignore_cleanup_errors=True)
         except OSError as error:
             raise ArrayError(f"no folder for pictures can be made ({error.strerror or error}): set TMPDIR") from None
         try:
             self.scene = _path_of_scene(scene, Path(self._folder.name))
         except BaseException:
-            self._folder.cleanup()
+            self.close()
             raise
         self.title = Path(self.scene).name
         name = os.path.join(pattern_of(self._folder.name), "frame_%04d" if several else "frame")
@@ -65,11 +69,23 @@ class PictureFolder:
             raise ArrayError(f"{sums}: the picture is not as the service left it ({error})") from None
         return picture
 
+    def close(self) -> None:
+        """Remove the folder. Never raises OSError: what is left of one that cannot be removed stays.
+
+        An array may still write there for a moment when it has said that a job is cancelled.
+        """
+        for attempt in range(ATTEMPTS):
+            self._folder.cleanup()
+            if not os.path.lexists(self._folder.name):
+                return
+            if attempt < ATTEMPTS - 1:
+                time.sleep(RETRY_SECONDS)
+
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._folder.cleanup()
+        self.close()
 
 
 def _path_of_scene(scene: SceneLike, folder: Path) -> str:
@@ -106,11 +122,13 @@ def runs_of(frames: Iterable[int]) -> list[Ends]:
     ]
 
 
-def frames_asked(scene: str, frames: Iterable[int] | None) -> list[Ends]:
-    """The runs of frames that are wanted; None: all that the scene has. Raises SceneError for a scene that cannot be read."""
-    if frames is None:
-        from raygrid.host.scene.load import load_scene
+def all_frames(scene: str, outside: bool) -> list[Ends]:
+    """The run of all frames that a scene has.
 
-        shot = load_scene(scene).shot
-        frames = range(1, 2 if shot is None else shot.frames + 1)
-    return runs_of(frames)
+    outside  whether the array lets scenes refer to files outside their folders
+    Raises SceneError for a scene that cannot be read.
+    """
+    from raygrid.host.scene.load import load_scene
+
+    shot = load_scene(scene, outside, OUTSIDE).shot
+    return [(1, 1 if shot is None else shot.frames)]

@@ -13,7 +13,7 @@ from typing import TypedDict, TypeGuard
 
 from raygrid.host.client.facts import ENDED, JobFacts
 from raygrid.host.image.frames import LAST_FRAME
-from raygrid.host.journal.journal import BUSY_SECONDS, JobRow, Record, columns_of, read_row
+from raygrid.host.journal.journal import BUSY_SECONDS, JobRow, Record, columns_of, is_time, read_row
 from raygrid.host.text.bounds import LONGEST_CLIENT, LONGEST_PATH, MOST_OUTPUTS
 from raygrid.host.text.clean_text import printable
 from raygrid.node.errors import OutputError
@@ -61,7 +61,14 @@ def _facts(row: Record) -> JobFacts:
         job, client, _, submitted, begun, at_end, _, _, done, skipped = row
         client = client.decode(errors="backslashreplace") if isinstance(client, bytes) else str(client)
         why = f"the journal's row of it cannot be read: {wrong}"
-        return row_facts(JobRow(job, client, {}, submitted, begun, at_end, UNREADABLE, why, done, skipped))
+        facts = row_facts(JobRow(job, client, {}, 0.0, None, None, UNREADABLE, why, done, skipped))
+        facts["submitted"], facts["begun"], facts["ended"] = map(_time, (submitted, begun, at_end))
+        return facts
+
+
+def _time(value: object) -> float | None:
+    """A time that can be told."""
+    return value if is_time(value) else None
 
 
 def _check(request: Mapping[str, object]) -> None:

@@ -5,7 +5,7 @@ done. A frame is recorded after its files are in place; one that was written and
 the same bits.
 
 What is on disk is not trusted: a row that cannot be read is moved to the table `set_aside`, and the others go on. A file
-that SQLite cannot read is `Damaged`; `journal_repair` sets it aside as a whole.
+that SQLite cannot read is `Damaged`; `host.journal.repair` sets it aside as a whole.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import sqlite3
 import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeGuard
 
 from raygrid.host.client.facts import ENDED
 from raygrid.host.text.clean_text import printable
@@ -27,6 +27,7 @@ from raygrid.node.errors import OutputError
 VERSION = 2  # 1 did not say when a job was begun
 KEPT = 1000  # jobs that have ended
 BUSY_SECONDS = 5.0
+LATEST = 253_402_300_800  # seconds from 1970 to the year 10,000
 TABLES = """
 create table if not exists jobs (
     job integer primary key autoincrement,
@@ -183,9 +184,12 @@ class Journal:
                     self._base.execute("rollback")
                 raise
 
-    def add(self, client: str, request: dict[str, object]) -> int:
-        """Record a new job; returns its number. Raises OutputError, and then it is not recorded."""
-        row = (printable(client), json.dumps(request), time.time())
+    def add(self, client: str, request: dict[str, object], at: float | None = None) -> int:
+        """Record a job submitted at that time, in seconds since 1970, None: now; returns its number.
+
+        Raises OutputError, and then it is not recorded.
+        """
+        row = (printable(client), json.dumps(request), time.time() if at is None else at)
         with self._change() as base:
             made = base.execute(
                 "insert into jobs (client, request, submitted, state) values (?, ?, ?, 'queued')", row
@@ -206,9 +210,9 @@ class Journal:
                     row = (path, digest, status.st_size, status.st_mtime_ns, job)
                     base.execute("insert or replace into files values (?, ?, ?, ?, ?)", row)
 
-    def set_state(self, job: int, state: str, error: str = "") -> None:
-        """Record what became of a job. Raises OutputError."""
-        now = time.time()
+    def set_state(self, job: int, state: str, error: str = "", at: float | None = None) -> None:
+        """Record what became of a job, and when, in seconds since 1970; None: now. Raises OutputError."""
+        now = time.time() if at is None else at
         begun, ended = (now if state == "running" else None), (now if state in ENDED else None)
         values = (state, printable(error), begun, ended, job)
         with self._change() as base:
@@ -320,11 +324,16 @@ def read_row(row: Record) -> JobRow:
         raise ValueError(f"the request came as {type(wanted).__name__}, wanted a map")
     for name, value in (("submitted", submitted), ("begun", begun), ("ended", ended)):
         never = value is None and name != "submitted"
-        if not never and not (isinstance(value, int | float) and math.isfinite(value)):
+        if not never and not is_time(value):
             raise ValueError(f"{name} came as {str(value)[:40]}, wanted a time")
     times = submitted, begun, ended
     texts = printable(_text("state", state), 20), printable(_text("error", error))
     return JobRow(job, printable(_text("client", client)), wanted, *times, *texts, done, skipped)
+
+
+def is_time(value: object) -> TypeGuard[float]:
+    """Whether a value of the journal is a time that a calendar has, in seconds since 1970."""
+    return isinstance(value, int | float) and math.isfinite(value) and abs(value) < LATEST
 
 
 def _text(name: str, value: object) -> str:

@@ -191,5 +191,6 @@ class Answers:
                 "trouble": service.jobs.trouble,
                 "remarks": list(service.jobs.remarks),
             },
+            "outside": state.options.outside,
             "prometheus": state.prometheus,
         }

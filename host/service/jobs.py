@@ -1,14 +1,16 @@
-"""Keeps the jobs of a service: schedule in memory and journal on disk, in step. No socket and no array in here."""
+"""Keeps the jobs of a service: schedule in memory and journal on disk, in step. No socket and no array in here.
+
+A job is told of from memory until the journal has taken its end in: the journal of a full disk says for ever that it runs.
+"""
 
 from __future__ import annotations
 
-import sys
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from typing import NamedTuple
 
-from raygrid.host.client.facts import JobFacts
+from raygrid.host.client.facts import ENDED, JobFacts
 from raygrid.host.client.requests import SubmitMessage, read_job
 from raygrid.host.journal.facts import row_facts
 from raygrid.host.journal.journal import Damaged, JobRow, Journal, Unwritable
@@ -16,6 +18,7 @@ from raygrid.host.journal.repair import open_again
 from raygrid.host.service.job_facts import entry_facts
 from raygrid.host.service.schedule import Entry, JobState, Schedule
 from raygrid.host.text.clean_text import printable
+from raygrid.host.text.log import log
 from raygrid.node.errors import OutputError, ProtocolError, RaygridError
 
 MOST_UNFINISHED = 10_000  # that have not ended
@@ -50,6 +53,7 @@ class Jobs:
         self._keep_place = keep_place
         self._requests: dict[int, SubmitMessage] = {}
         self._unrecorded: deque[Unrecorded] = deque()
+        self._ended: dict[int, JobRow] = {}  # jobs that have ended, of which the journal does not know that
         self._last = 0  # the highest number of a job
         self._in_part = False  # whether the journal was made anew and lacks jobs that have not ended
         self._remark(*(remarks or ()))
@@ -57,7 +61,7 @@ class Jobs:
             try:
                 self._take_up(row)
             except ProtocolError as error:
-                self._record_state(row.job, JobState.FAILED, str(error))
+                self._record_end(row._replace(ended=time.time(), state=str(JobState.FAILED), error=str(error)))
         self._hear_journal()
 
     def _take_up(self, row: JobRow) -> None:
@@ -85,11 +89,12 @@ class Jobs:
         self.flush()
         if self.trouble:
             raise OutputError(self.trouble)
-        job = self.journal.add(request.client, request.model_dump(mode="json"))
+        now = time.time()
+        job = self.journal.add(request.client, request.model_dump(mode="json"), now)
         self._last = max(self._last, job)
         self._requests[job] = request
         entry = self.schedule.add(job, request.client, range(first, last + 1), last - first + 1, request.priority)
-        entry.submitted = time.time()
+        entry.submitted = now
         return entry
 
     def request(self, job: int) -> SubmitMessage:
@@ -101,15 +106,18 @@ class Jobs:
         if entry.begun is None:
             entry.begun = time.time()
         if entry.done == 0:
-            self._record_state(entry.job, JobState.RUNNING)
+            job, at = entry.job, entry.begun
+            self._record(job, lambda to: to.set_state(job, JobState.RUNNING, at=at))
 
     def frame_done(self, entry: Entry, skipped: bool, seconds: float, files: dict[str, str]) -> None:
         """The running frame's files are there; ends the job if it was the last."""
         job, frame = entry.job, entry.running or 0
         self.schedule.finish(entry, skipped)
-        self._record(job, lambda to: to.frame_done(job, frame, skipped, seconds, files))
+        self._unrecorded.append(Unrecorded(job, lambda to: to.frame_done(job, frame, skipped, seconds, files)))
         if entry.ended:
             self._end(entry, JobState.DONE)
+        else:
+            self.flush()
 
     def fail(self, entry: Entry, why: str) -> None:
         """The job has failed."""
@@ -121,13 +129,19 @@ class Jobs:
 
     def _end(self, entry: Entry, state: JobState, error: str = "") -> None:
         self.schedule.end(entry, state, error)
-        self._requests.pop(entry.job, None)
-        self._record_state(entry.job, state, error)
+        self._record_end(_row_of(entry, self._requests.pop(entry.job))._replace(ended=time.time()))
 
     # --- the journal ----------------------------------------------------------------------------------
 
-    def _record_state(self, job: int, state: JobState, error: str = "") -> None:
-        self._record(job, lambda to: to.set_state(job, state, error))
+    def _record_end(self, row: JobRow) -> None:
+        """Record that a job has ended as this row says, and tell of it from the row until that is written."""
+        self._ended[row.job] = row
+
+        def write(journal: Journal) -> None:
+            journal.set_state(row.job, row.state, row.error, row.ended)
+            self._ended.pop(row.job, None)
+
+        self._record(row.job, write)
 
     def _record(self, job: int, write: Callable[[Journal], None]) -> None:
         """Write to the journal now, or when that is possible again: the array goes on without."""
@@ -147,7 +161,7 @@ class Jobs:
                 self._write(self._unrecorded[0])
                 self._unrecorded.popleft()
             self.trouble = ""
-        except RaygridError as error:
+        except (RaygridError, OSError) as error:
             self.trouble = str(error)
 
     def _write(self, record: Unrecorded) -> None:
@@ -172,9 +186,7 @@ class Jobs:
             first, last = request.frames or (0, 0)
             left = {*entry.todo, entry.running}
             done = [(frame, 0, 0.0) for frame in range(first, last + 1) if frame not in left]
-            times = entry.submitted, entry.begun, None
-            row = JobRow(entry.job, entry.client, request.model_dump(mode="json"), *times, str(entry.state), "", 0, 0)
-            self.journal.restore(row, done, self._last)
+            self.journal.restore(_row_of(entry, request), done, self._last)
         self.journal.skip_to(self._last)
         self._in_part = False
         self._remark(*(remarks or [why]))
@@ -182,7 +194,7 @@ class Jobs:
     def _remark(self, *remarks: str) -> None:
         for text in remarks:
             self.remarks.append(text)
-            print(f"{time.strftime('%Y-%m-%d %H:%M:%S')} journal: {printable(text)}", file=sys.stderr, flush=True)
+            log(f"journal: {printable(text)}")
 
     def _hear_journal(self) -> None:
         """Take over what the journal has to say of its rows."""
@@ -196,25 +208,37 @@ class Jobs:
         entry = self.schedule.entries.get(job)
         if entry is not None:
             return entry_facts(entry, self._requests[job])
-        row = self.journal.find(job)
+        row = self._ended.get(job) or self.journal.find(job)
         self._hear_journal()
         return None if row is None else row_facts(row)
 
     def list(self, ended: int) -> list[JobFacts]:
         """The last `ended` jobs that have ended, then those that have not, each oldest first. Raises OutputError."""
-        rows = [row_facts(row) for row in self.journal.ended(ended)] if ended else []
+        rows = {row.job: row for row in self.journal.ended(ended)} | self._ended if ended else {}
         self._hear_journal()
+        last = [row_facts(rows[job]) for job in sorted(rows)[-ended:]]
         entries = sorted(self.schedule.entries.items())
-        return rows + [entry_facts(entry, self._requests[job]) for job, entry in entries]
+        return last + [entry_facts(entry, self._requests[job]) for job, entry in entries]
 
     def counts(self) -> dict[str, int]:
-        """Jobs of the journal by state; none if it cannot be read."""
+        """Jobs by state, those that have ended as the journal has them; none if it cannot be read."""
         try:
-            return self.journal.counts()
+            kept = self.journal.counts()
         except OutputError:
             return {}
+        counts = Counter({state: count for state, count in kept.items() if state in ENDED})
+        counts.update(str(entry.state) for entry in self.schedule.entries.values())
+        counts.update(row.state for row in self._ended.values())
+        return dict(sorted(counts.items()))
 
     def close(self) -> None:
         """Write what can be written, and close the journal."""
         self.flush()
         self.journal.close()
+
+
+def _row_of(entry: Entry, request: SubmitMessage) -> JobRow:
+    """The row of a job of the schedule as it is now."""
+    times = entry.submitted, entry.begun, None
+    asked = request.model_dump(mode="json")
+    return JobRow(entry.job, entry.client, asked, *times, str(entry.state), entry.error, entry.done, entry.skipped)

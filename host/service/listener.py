@@ -16,7 +16,6 @@ import os
 import secrets
 import socket
 import struct
-import sys
 import traceback
 from collections import Counter
 from collections.abc import Awaitable, Callable
@@ -27,6 +26,7 @@ from raygrid.host.client.requests import Request, read_request
 from raygrid.host.client.service_files import SOCKET, TOKEN, write_private
 from raygrid.host.text.clean_text import printable
 from raygrid.host.text.error_text import told
+from raygrid.host.text.log import log
 from raygrid.node.errors import ProtocolError, RaygridError
 from raygrid.node.protocol import Splitter
 
@@ -246,7 +246,7 @@ def _packed(message: Message) -> bytes:
     try:
         return pack(message, escape=True)
     except (ProtocolError, ArithmeticError, TypeError, ValueError) as error:
-        traceback.print_exception(error, file=sys.stderr)
+        log("".join(traceback.format_exception(error)))
         if message["is"] == "event":
             return b""
         return pack({"is": "error", "error": f"the answer cannot be sent: {printable(str(error), 300)}"})

@@ -8,6 +8,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from typing import Any
 
+from raygrid.host.client.picture_folder import OUTSIDE
 from raygrid.host.client.requests import SubmitMessage
 from raygrid.host.image.frames import Turntable, frames_of
 from raygrid.host.render.animation_jobs import AnimationJobs
@@ -84,7 +85,7 @@ class SceneStore:
         kept = self._scenes.pop((path, view), None)
         if kept is None or kept[0].changed():
             with recorded() as sources:
-                scene = load_scene(path, self._allow_outside, "raygrid up --allow-outside", **view.given())
+                scene = load_scene(path, self._allow_outside, OUTSIDE, **view.given())
             kept = sources, scene
         _keep(self._scenes, (path, view), kept)
         return kept

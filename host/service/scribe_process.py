@@ -188,7 +188,8 @@ def main() -> None:
     with socket.socket(fileno=given.socket) as stream, contextlib.suppress(BrokenPipeError, ConnectionResetError):
         os.set_inheritable(stream.fileno(), False)
         _serve(stream, ScribeWork((nx, ny, nz), given.journal, given.outside))
-    sys.stderr.flush()
+    with contextlib.suppress(OSError, ValueError):
+        sys.stderr.flush()
     os._exit(0)
 
 

@@ -12,7 +12,6 @@ import contextlib
 import json
 import os
 import signal
-import sys
 import time
 from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, BinaryIO, assert_never
@@ -23,6 +22,7 @@ from raygrid.host.service import events
 from raygrid.host.service.state import ServiceState
 from raygrid.host.service.worker import Worker
 from raygrid.host.text.error_text import told
+from raygrid.host.text.log import log
 from raygrid.node.errors import ArrayError
 
 if TYPE_CHECKING:
@@ -111,13 +111,13 @@ class ArrayService:
                 self.end()
                 return
             except (OSError, ArrayError) as error:
-                print(f"the state directory cannot be made anew: {error}", file=sys.stderr, flush=True)
+                log(f"the state directory cannot be made anew: {error}")
             try:
                 await self._keep_listening()
                 if self._record is not None:
                     self._home.keep_record(self._record)
             except (OSError, ArrayError) as error:
-                print(f"the door cannot be made anew: {error}", file=sys.stderr, flush=True)
+                log(f"the door cannot be made anew: {error}")
             self.jobs.flush()
 
     async def _keep_listening(self) -> None:
@@ -273,12 +273,12 @@ class ArrayService:
                 self.end()
             return
         entry, frame = found
+        self.jobs.begun(entry)  # first: what is set below says that the array has it
         request = self.jobs.request(entry.job)
         self._serial += 1
         number = None if request.frames is None else frame
         state.task = events.Task(self._serial, entry.job, number, request, last=not entry.todo)
         state.entry, self._given = entry, time.monotonic()
-        self.jobs.begun(entry)
         self.worker.give(state.task)
 
     def _yield(self) -> None:
@@ -335,5 +335,5 @@ class ArrayService:
         self._loop.call_later(END_SECONDS, self._give_up)
 
     def _give_up(self) -> None:
-        print(f"the array did not end within {END_SECONDS:g} seconds", file=sys.stderr, flush=True)
+        log(f"the array did not end within {END_SECONDS:g} seconds")
         self._over.set()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections import Counter, deque
 from dataclasses import dataclass, field
@@ -12,6 +11,7 @@ from raygrid.host.client.facts import FaultFacts
 from raygrid.host.service.events import FrameMoved, Options, Task
 from raygrid.host.service.schedule import Entry
 from raygrid.host.text.clean_text import printable
+from raygrid.host.text.log import log
 
 FAULTS_KEPT = 20
 
@@ -54,7 +54,7 @@ class ServiceState:
             fault |= {"job": task.job, "frame": task.frame}
         self.fault_count += 1
         self.faults.append(fault)
-        print(f"{time.strftime('%Y-%m-%d %H:%M:%S')} fault: {fault['what']}", file=sys.stderr, flush=True)
+        log(f"fault: {fault['what']}")
 
     def settle(self) -> None:
         """The frame that was with the array is so no more."""

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import errno
-import sys
 import traceback
 
 from raygrid.host.text.clean_text import printable
+from raygrid.host.text.log import log
 from raygrid.node.errors import RaygridError
 
 
@@ -17,7 +17,7 @@ def told(error: BaseException) -> str:
         return line
     if isinstance(error, MemoryError):
         return "out of memory"
-    traceback.print_exception(error, file=sys.stderr)
+    log("".join(traceback.format_exception(error)))
     if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
         return f"the array's service may open no more files: {line}"
     return printable(f"a bug: {type(error).__name__}: {line} (the array's log has more)")

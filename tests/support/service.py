@@ -132,9 +132,18 @@ def watch_until(service: Service, job: int, what: str, from_frame: int = 0, **fa
 
 def scribe_of(service: Service) -> int:
     """The process that reads scenes for an array that is up."""
-    children = psutil.Process(service.pid).children()
-    (found,) = [child.pid for child in children if "raygrid.host.service.scribe_process" in child.cmdline()]
-    return int(found)
+    (found,) = scribes_of(service)
+    return found
+
+
+def scribes_of(service: Service) -> list[int]:
+    """As `scribe_of`; none where it has just ended."""
+    found = []
+    for child in psutil.Process(service.pid).children():
+        with contextlib.suppress(psutil.NoSuchProcess, psutil.ZombieProcess):
+            if "raygrid.host.service.scribe_process" in child.cmdline():
+                found.append(int(child.pid))
+    return found
 
 
 class Peer:
@@ -189,6 +198,7 @@ __all__ = [
     "name",
     "on",
     "scribe_of",
+    "scribes_of",
     "shot_of",
     "state_directory",
     "sums",

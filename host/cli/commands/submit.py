@@ -11,6 +11,7 @@ from typing import Any
 from raygrid.host.cli.progress import ProgressReporter
 from raygrid.host.client.connection import NO_JOB, Connection, EventListener
 from raygrid.host.client.facts import ENDED
+from raygrid.host.client.job_events import end_of
 from raygrid.host.client.service_files import find
 from raygrid.host.client.submission import Submission, absolute
 from raygrid.host.files.input_guard import STANDARD, check_outputs, note
@@ -78,7 +79,7 @@ def run_wait(job: int, name: str, as_json: bool, quiet: bool) -> None:
         facts = connection.ask({"do": "follow", "job": job})
         if facts["state"] in ENDED:
             if as_json:
-                write_result(json.dumps({**facts, "is": "event", "what": "end"}))
+                write_result(json.dumps(end_of(facts)))
             _judge(job, facts)
             return
         _follow(listener, job, facts["frames"], as_json, quiet)

@@ -1,6 +1,8 @@
 """An array that stays, from asyncio: the same answers and bits as from threads, any number of coroutines at once."""
 
 import asyncio
+import os
+import signal
 
 import numpy as np
 import pytest
@@ -78,6 +80,44 @@ def test_a_render_that_is_cancelled_cancels_its_job_and_the_connection_lives(nam
 
     assert asyncio.run(main())["name"] == name
     assert array.jobs()[-1]["state"] == "cancelled"
+
+
+def test_a_render_that_is_cancelled_before_its_job_has_a_number_cancels_it(name, array):
+    """The service is stopped, so that the answer is awaited meanwhile; the connection closes when the job is cancelled."""
+
+    async def main():
+        async with raygrid.aio.connect(name) as other:
+            os.kill(array.pid, signal.SIGSTOP)
+            try:
+                task = asyncio.create_task(other.render(TINY, **LONG))
+                async with asyncio.timeout(60):
+                    while not other._connection._slots:
+                        await asyncio.sleep(0.01)
+                task.cancel()
+                with pytest.raises(asyncio.CancelledError):
+                    await task
+            finally:
+                os.kill(array.pid, signal.SIGCONT)
+
+    before = array.jobs()
+    asyncio.run(main())
+    last = array.jobs()[-1]
+    assert last not in before
+    assert last["state"] in ("cancelled", "failed")  # failed: it was begun, and its folder was gone
+
+
+def test_a_render_that_is_cancelled_at_once_leaves_no_folder(name, array):
+    async def main():
+        async with raygrid.aio.connect(name) as other:
+            task = asyncio.create_task(other.render(TINY, size=SIZE))
+            await asyncio.sleep(0)  # it has begun to make its folder
+            task.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await task
+
+    before = array.jobs()
+    asyncio.run(main(), debug=True)
+    assert array.jobs() == before
 
 
 def test_who_waits_when_it_is_closed_is_told_so(name, array, tmp_path):

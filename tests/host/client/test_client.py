@@ -1,5 +1,8 @@
 """Pictures come back from an array that stays, by the calls of one that was launched, with the same bits."""
 
+import asyncio
+import os
+import signal
 import threading
 
 import numpy as np
@@ -7,7 +10,7 @@ import pytest
 import trimesh
 from support.cli import warm_kernels
 from support.render import SCENES, rendered
-from support.service import SIZE, array, name, sums
+from support.service import SIZE, array, end, name, sums, up
 
 import raygrid
 from raygrid.host.scene.load import load_scene
@@ -65,6 +68,29 @@ def test_frames_come_one_after_the_other(array):
     assert all(np.array_equal(one.sums, other.sums) for one, other in zip(frames, own, strict=True))
 
 
+def test_all_frames_of_a_scene_with_files_elsewhere_are_rendered_where_the_array_reads_them(array, tmp_path_factory):
+    """What the array may read is asked of it: whoever started it has decided that."""
+    folder = tmp_path_factory.mktemp("scene")
+    (folder / "film.toml").write_text(f'include = "{TINY}"\n[shot]\nframes = 2\n')
+    with pytest.raises(raygrid.SceneError, match="wanted one within, or raygrid up --allow-outside"):
+        next(array.render_frames(folder / "film.toml", size=SIZE))
+
+    async def frames():
+        async with raygrid.aio.connect("outside") as other:
+            return [frame async for frame in other.render_frames(folder / "film.toml", size=SIZE)]
+
+    try:
+        up("outside", "--allow-outside")
+        with raygrid.connect("outside") as other:
+            pictures = list(other.render_frames(folder / "film.toml", size=SIZE))
+        pictures += asyncio.run(frames())
+    finally:
+        end("outside")
+    assert [picture.stats["frame"] for picture in pictures] == [1, 2, 1, 2]
+    wanted = rendered(load_scene(folder / "film.toml", True), (2, 1, 1), size=SIZE).sums
+    assert all(np.array_equal(picture.sums, wanted) for picture in pictures)
+
+
 def test_frames_that_nobody_takes_are_cancelled(array):
     frames = array.render_frames(MOBILE, size=SIZE)
     next(frames)
@@ -80,6 +106,50 @@ def test_what_goes_wrong_is_one_sentence(array):
         array.render(TINY, depth=99)
     with pytest.raises(TypeError, match=r"^the settings \['speed'\] came, wanted some of size, samples, "):
         array.render(TINY, speed=9)
+
+
+def test_who_waits_for_a_job_that_has_ended_is_told_of_its_end(array, tmp_path):
+    job = array.submit(TINY, size=SIZE, output=tmp_path / "a.npy")
+    told = []
+    result = job.wait(told.append)
+    assert told[-1]["what"] == "end"
+    again = []
+    assert job.wait(again.append) == result
+    assert [(event["is"], event["what"], event["job"], event["state"]) for event in again] == [
+        ("event", "end", job.job, "done")
+    ]
+    (tmp_path / "a.npy").unlink()
+
+
+def test_a_render_that_is_interrupted_before_its_job_has_a_number_cancels_it(array, monkeypatch):
+    """The service is stopped, so that the answer is awaited when the interrupt comes."""
+    cancel, me, over = array.cancel, threading.get_ident(), threading.Event()
+
+    def interrupt():
+        while not (array._connection._slots and array._connection._reading) and not over.wait(0.01):
+            pass
+        if not over.is_set():
+            signal.pthread_kill(me, signal.SIGINT)
+
+    def go_on(jobs):
+        os.kill(array.pid, signal.SIGCONT)
+        return cancel(jobs)
+
+    monkeypatch.setattr(array, "cancel", go_on)
+    thread = threading.Thread(target=interrupt)
+    before = array.jobs()
+    os.kill(array.pid, signal.SIGSTOP)
+    try:
+        thread.start()
+        with pytest.raises(KeyboardInterrupt):
+            array.render(TINY, size=(2000, 2000), samples=64)
+    finally:
+        over.set()
+        os.kill(array.pid, signal.SIGCONT)
+        thread.join(60)
+    last = array.jobs()[-1]
+    assert last not in before
+    assert last["state"] == "cancelled"
 
 
 def test_a_job_that_is_cancelled_by_another_is_an_error(array):

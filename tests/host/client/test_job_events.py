@@ -4,7 +4,7 @@ import logging
 
 import pytest
 
-from raygrid.host.client.job_events import Result, result_of, tell
+from raygrid.host.client.job_events import Result, end_of, result_of, tell
 from raygrid.host.render.progress import RenderProgress
 from raygrid.node.errors import ArrayError
 
@@ -30,6 +30,12 @@ def test_a_result_names_the_files_in_the_order_of_frames():
 def test_a_job_that_is_not_done_is_an_error(state, words):
     with pytest.raises(ArrayError, match=f"^{words}$"):
         result_of(7, FACTS, END | {"state": state, "error": "no disk"})
+
+
+def test_the_end_of_a_job_is_made_of_what_is_said_of_it():
+    facts = {"is": "following", "job": 7, **FACTS, **END}
+    assert end_of(facts) == facts | {"is": "event", "what": "end"}
+    assert result_of(7, facts, end_of(facts)) == result_of(7, facts, END)
 
 
 def test_events_are_passed_on(caplog):

@@ -1,5 +1,6 @@
 """The folder in which pictures come back: what lies there, who may look, what goes."""
 
+import errno
 import json
 import os
 import stat
@@ -12,7 +13,8 @@ import trimesh
 from support.render import SCENES
 
 import raygrid
-from raygrid.host.client.picture_folder import PictureFolder, frames_asked, runs_of
+from raygrid.host.client import picture_folder
+from raygrid.host.client.picture_folder import PictureFolder, all_frames, runs_of
 from raygrid.host.image.frames import path_of
 from raygrid.host.scene.load import load_scene
 from raygrid.host.scene.scene import describe
@@ -34,8 +36,8 @@ def test_numbers_become_jobs_without_gaps():
     assert runs_of([1, 2, 4, 3, 3, 5]) == [(1, 2), (4, 4), (3, 3), (3, 3), (5, 5)]
     assert runs_of([]) == []
     assert runs_of(range(7, 9)) == [(7, 8)]
-    assert frames_asked(TINY, None) == [(1, 1)]
-    assert frames_asked(str(SCENES / "mobile.toml"), None) == [(1, 48)]
+    assert all_frames(TINY, False) == [(1, 1)]
+    assert all_frames(str(SCENES / "mobile.toml"), False) == [(1, 48)]
 
 
 def test_a_picture_is_taken_with_its_statistics_and_its_files_go(temporary):
@@ -52,6 +54,24 @@ def test_a_picture_is_taken_with_its_statistics_and_its_files_go(temporary):
         assert list(made.iterdir()) == []
         with pytest.raises(ArrayError, match=r"frame_0003\.npy: the picture is not as the service left it"):
             folder.take(3)
+    assert list(temporary.iterdir()) == []
+
+
+def test_a_folder_that_is_still_written_to_is_removed_in_the_end(temporary, monkeypatch):
+    """What was cancelled may write for a moment: the error of who takes pictures is not hidden by that."""
+    monkeypatch.setattr(picture_folder, "RETRY_SECONDS", 0.0)
+    tried, rmdir = [], os.rmdir
+
+    def busy(path, **options):
+        tried.append(path)
+        if len(tried) < 3:
+            raise OSError(errno.ENOTEMPTY, "Directory not empty")
+        rmdir(path, **options)
+
+    monkeypatch.setattr(os, "rmdir", busy)
+    with pytest.raises(KeyError, match="what went wrong"), PictureFolder(TINY, several=True):
+        raise KeyError("what went wrong")
+    assert len(tried) == 3
     assert list(temporary.iterdir()) == []
 
 

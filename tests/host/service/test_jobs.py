@@ -89,6 +89,7 @@ def test_a_job_of_the_journal_that_cannot_be_read_fails_alone(path, jobs):
         "client = cast(x'ff' as text)",
         "submitted = 'yesterday'",
         "submitted = 9e999",
+        "submitted = 1e300",
         "state = cast(x'ff' as text)",
         "error = 7, state = 'done'",
         "error = cast(zeroblob(9000000) as text), state = 'failed'",
@@ -143,11 +144,61 @@ def test_a_journal_that_cannot_be_written_catches_up(jobs, monkeypatch):
     assert entry.state is JobState.DONE
     assert jobs.trouble == "the disk is full"
     assert jobs.journal.find(entry.job).state == "running"
+    told = jobs.facts(entry.job)
+    assert (told["state"], told["done"], told["error"]) == ("done", 2, "")
+    assert jobs.list(10) == [told]
+    assert jobs.counts() == {"done": 1}
     monkeypatch.setattr(jobs.journal, "frame_done", whole)
     jobs.submit(request(1, 1))
     assert jobs.trouble == ""
+    assert jobs.facts(entry.job) == told
+    assert jobs.counts() == {"done": 1, "queued": 1}
     assert jobs.journal.frames_done(entry.job) == {1, 2}
     assert jobs.journal.find(entry.job).state == "done"
+
+
+def test_what_has_ended_is_told_of_while_no_end_can_be_recorded(jobs, monkeypatch):
+    """Whoever asks hears of it: who would follow a job that has ended would wait for ever."""
+    kept = jobs.submit(request(1, 1))
+    take(jobs, 1)
+    failed, cancelled, waiting = (jobs.submit(request(1, 3)) for _ in range(3))
+    take(jobs, 1)  # a frame of the first that waits
+
+    def full(*_):
+        raise OutputError("the disk is full")
+
+    monkeypatch.setattr(Journal, "set_state", full)
+    jobs.fail(failed, "no room")
+    jobs.cancel(cancelled)
+    facts = jobs.facts(failed.job)
+    assert (facts["state"], facts["error"], facts["done"], facts["frames"]) == ("failed", "no room", 1, 3)
+    assert facts["submitted"] <= facts["begun"] <= facts["ended"]
+    states = {kept.job: "done", failed.job: "failed", cancelled.job: "cancelled", waiting.job: "queued"}
+    assert {row["job"]: row["state"] for row in jobs.list(10)} == states
+    assert [row["job"] for row in jobs.list(2)] == [failed.job, cancelled.job, waiting.job]
+    assert [row["job"] for row in jobs.list(0)] == [waiting.job]
+    assert jobs.counts() == dict.fromkeys(sorted(states.values()), 1)
+    before = jobs.list(10)
+    monkeypatch.undo()
+    jobs.flush()
+    assert jobs.trouble == ""
+    assert [row.state for row in jobs.journal.ended(10)] == ["done", "failed", "cancelled"]
+    assert jobs.list(10) == before
+
+
+def test_a_bad_request_is_told_as_failed_while_that_cannot_be_recorded(path, jobs, monkeypatch):
+    bad = jobs.journal.add("me", {"do": "submit", "scene": "relative"})
+    jobs.close()
+
+    def full(*_):
+        raise OutputError("the disk is full")
+
+    monkeypatch.setattr(Journal, "set_state", full)
+    again = Jobs(Journal(path))
+    assert again.facts(bad)["state"] == "failed"
+    assert again.facts(bad)["error"]
+    assert [row["job"] for row in again.list(10)] == [bad]
+    again.close()
 
 
 BAD_TEXT = "\ud800 \udcff \x1b[31m" + "x" * 9_000_000
@@ -174,10 +225,10 @@ def test_a_record_that_can_never_be_written_is_left_out_and_the_others_are_writt
     bad, good = jobs.submit(request(1, 1)), jobs.submit(request(1, 2))
     whole = Journal.set_state
 
-    def fails_for_one(journal, job, state, error=""):
+    def fails_for_one(journal, job, state, error="", at=None):
         if job == bad.job:
             raise ValueError("surrogates not allowed")
-        whole(journal, job, state, error)
+        whole(journal, job, state, error, at)
 
     monkeypatch.setattr(Journal, "set_state", fails_for_one)
     jobs.fail(bad, "why")
@@ -187,6 +238,7 @@ def test_a_record_that_can_never_be_written_is_left_out_and_the_others_are_writt
     assert jobs.trouble == ""
     assert [f"job {bad.job} " in text for text in jobs.remarks] == [True]
     assert "surrogates not allowed" in capfd.readouterr().err
+    assert jobs.facts(bad.job)["state"] == "failed", "what the journal never knows is told from memory"
 
 
 def test_facts_that_are_more_than_a_message_holds_come_in_pages():

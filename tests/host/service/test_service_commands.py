@@ -172,6 +172,25 @@ def test_a_row_that_is_none_keeps_no_other_from_being_read(journal, request_):
     json.dumps(facts)
 
 
+def refuse(constant):
+    raise AssertionError(f"{constant} is no JSON")
+
+
+@pytest.mark.parametrize("column", ["submitted", "begun", "ended"])
+@pytest.mark.parametrize("value", ["'yesterday'", "x'00ff'", "9e999", "-9e999", "1e300"])
+def test_a_time_that_is_none_is_not_passed_on(journal, column, value):
+    with sqlite3.connect(journal) as base:
+        base.execute(f"update jobs set {column} = {value} where job = 2")
+    base.close()
+    facts = json.loads(here("jobs", "--name", "film", "--json").out, parse_constant=refuse)
+    assert [(job["job"], job["state"]) for job in facts] == [(1, "done"), (3, "failed"), (2, "unreadable")]
+    assert facts[-1][column] is None
+    assert f"{column} came as" in facts[-1]["error"]
+    told = here("jobs", "--name", "film")
+    assert told.code == 0
+    assert re.search(rf"^2 +unreadable .*{column} came as", told.out, re.M)
+
+
 def test_a_file_that_is_no_journal_is_one_sentence(journal):
     journal.write_bytes(b"x" * 5000)
     with pytest.raises(OutputError, match="the journal cannot be read"):

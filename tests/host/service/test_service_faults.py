@@ -15,7 +15,20 @@ import pytest
 from support.cli import RAYGRID, TINY, as_process, one_line, warm_kernels
 from support.processes import wait_dead
 from support.render import SCENES
-from support.service import SIZE, array, end, name, on, scribe_of, shot_of, state_directory, sums, up, watch_until
+from support.service import (
+    SIZE,
+    array,
+    end,
+    name,
+    on,
+    scribe_of,
+    scribes_of,
+    shot_of,
+    state_directory,
+    sums,
+    up,
+    watch_until,
+)
 from support.terminal import Terminal
 
 import raygrid
@@ -240,20 +253,37 @@ def test_a_full_disk_fails_the_job_in_one_line_and_not_the_array(name, array, tm
 @contextlib.contextmanager
 def limited(array, what, most, of_service=None):
     """The service of an array, and its scribe, have a limit for this block."""
-    before = {pid: resource.prlimit(pid, what) for pid in (array.pid, scribe_of(array))}
-    for pid, (_, hard) in before.items():
-        resource.prlimit(pid, what, (of_service if pid == array.pid and of_service else most, hard))
+    before = resource.prlimit(array.pid, what)
+    scribe = scribe_of(array)
+    for pid, limit in ((array.pid, of_service or most), (scribe, most)):
+        resource.prlimit(pid, what, (limit, before[1]))
     try:
         yield
     finally:
-        for pid, limits in before.items():
+        resource.prlimit(array.pid, what, before)  # first: a scribe that is started from now on has no limit
+        for pid in scribes_of(array):  # one that was started within the block has the limit of the service
             with contextlib.suppress(ProcessLookupError):
-                resource.prlimit(pid, what, limits)
+                resource.prlimit(pid, what, before)
 
 
 def no_room(array):
     """No file can grow."""
     return limited(array, resource.RLIMIT_FSIZE, 0)
+
+
+def test_a_limit_ends_with_its_block_also_for_a_scribe_that_was_started_within(array, tmp_path):
+    before, first = resource.prlimit(array.pid, resource.RLIMIT_FSIZE), scribe_of(array)
+    long = array.submit(TINY, output=tmp_path / "a.npy", **LONG)
+    waiting = array.submit(TINY, output=tmp_path / "b.npy", size=SIZE)
+    watch_until(array, long.job, "progress", phase="trace")
+    with no_room(array):
+        os.kill(first, signal.SIGKILL)
+        long.cancel()
+        with pytest.raises(ArrayError, match="failed"):
+            waiting.wait()
+        assert resource.prlimit(scribe_of(array), resource.RLIMIT_FSIZE)[0] == 0
+    for pid in (array.pid, scribe_of(array)):
+        assert resource.prlimit(pid, resource.RLIMIT_FSIZE) == before
 
 
 def test_without_room_for_the_journal_jobs_are_refused_until_there_is_some(name, array, tmp_path):
@@ -271,9 +301,13 @@ def test_when_the_disk_fills_up_meanwhile_the_array_goes_on_and_the_journal_catc
     job = array.submit(shot_of(Path(TINY), 200), output=tmp_path / "f_%d.npy", frames=(1, 200), size=SIZE)
     watch_until(array, job.job, "frame", from_frame=2)
     with no_room(array):
-        with pytest.raises(ArrayError, match=rf"job {job.job} failed: frame \d+: .*npy: the file cannot be written"):
-            job.wait()
+        for _ in range(2):  # who comes when the job has ended hears of it, too
+            with pytest.raises(
+                ArrayError, match=rf"job {job.job} failed: frame \d+: .*npy: the file cannot be written"
+            ):
+                job.wait()
         assert array.status()["journal"]["trouble"]
+        assert {row["job"]: row["state"] for row in array.jobs()}[job.job] == "failed"
     check_usable(array, tmp_path)
     assert array.status()["journal"]["trouble"] == ""
     listed = {row["job"]: row["state"] for row in array.jobs()}
@@ -283,6 +317,28 @@ def test_when_the_disk_fills_up_meanwhile_the_array_goes_on_and_the_journal_catc
     ).wait()
     assert again.frames == 200
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".raygrid")]
+
+
+def test_a_fault_that_cannot_be_logged_is_told_and_counted_once(name, array, tmp_path):
+    class Told(Exception):
+        pass
+
+    faults, pids = array.status()["faults"]["count"], [node_pid(array)]
+
+    def look(event):
+        if event["what"] == "progress" and event["phase"] == "trace" and pids:
+            os.kill(pids.pop(), signal.SIGKILL)
+        if event["what"] == "fault":
+            raise Told
+
+    job = array.submit(TINY, output=tmp_path / "a.npy", **LONG)
+    watch_until(array, job.job, "progress", phase="trace")
+    with no_room(array):
+        with pytest.raises(Told):
+            job.wait(look)
+        assert array.status()["faults"]["count"] == faults + 1
+        job.cancel()
+    check_usable(array, tmp_path)
 
 
 def test_an_output_directory_that_goes_away_fails_the_job_in_one_line(name, array, tmp_path):
