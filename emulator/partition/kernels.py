@@ -95,7 +95,7 @@ def walk_rays(rays, surfaces, stack, grid, weights, work, places, held):
             at_x, plane_x = _next_plane(grid, 0, x, o[0], inv[0])
             at_y, plane_y = _next_plane(grid, 1, y, o[1], inv[1])
             at_z, plane_z = _next_plane(grid, 2, z, o[2], inv[2])
-            if at_x <= at_y and at_x <= at_z:  # ties as in `walk.passage`
+            if at_x <= at_y and at_x <= at_z:  # ties as in `node.geometry.grid_walk.passage`
                 if at_x > end or plane_x == 0 or plane_x == grid.shape[0]:
                     break
                 work.crossed[0, 0 if inv[0] >= 0.0 else 1, plane_x, y + 1, z + 1] += cost

@@ -15,7 +15,6 @@ from .grid_walk import PORTS as PORTS
 from .grid_walk import SELF as SELF
 from .grid_walk import SELF_RAYS as SELF_RAYS
 from .grid_walk import inverse as inverse
-from .grid_walk import passage as passage
 from .lattice import HALF as HALF
 from .lattice import LATTICE as LATTICE
 from .lattice import LONGEST_STEP as LONGEST_STEP

@@ -222,6 +222,18 @@ def apart(name: str) -> Iterator[str]:
         DIRECTORY = before
 
 
+def within(directory: DirectoryName, name: str) -> DirectoryName:
+    """A directory of this name in a directory of kernels; None if it cannot be used."""
+    if directory is None:
+        return None
+    inner = Path(directory) / name
+    try:
+        make_private(inner)
+        return None if why_not_trusted(str(inner)) else str(inner)
+    except OSError:
+        return None
+
+
 @contextlib.contextmanager
 def in_directory(directory: DirectoryName) -> Iterator[None]:
     """Caches made within are in this directory; numba's settings for everybody else stay as they were."""

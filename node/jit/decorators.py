@@ -31,15 +31,44 @@ from raygrid.node.jit.value_types import type_of
 
 Function = Callable[..., Any]  # annotations inside kernels would never be checked, so they have none
 
-_COUNTING: dict[str, Any] = {"error_model": "numpy", "fastmath": False}
+_COUNTING: dict[str, Any] = {"no_cfunc_wrapper": True, "error_model": "numpy", "fastmath": False}
 _LEAN: dict[str, Any] = {**_COUNTING, "_nrt": False}
+CALLED = "called"  # directory of what Python calls and only kernels were meant to
 
 
 def _compiled(function: Function, **options: Any) -> Function:
     name_closure(function)
+    return _dispatcher(function, cache.DIRECTORY, options)
+
+
+def _inner(function: Function, **options: Any) -> Function:
+    """Compile for kernels alone; for Python, tests most of all, once more when it calls.
+
+    The wrapper by which Python calls takes each table of a large tuple apart, and was two fifths of what there was to compile.
+    """
+    name_closure(function)
+    directory = cache.DIRECTORY
+    inner: Any = _dispatcher(function, directory, {**options, "no_cpython_wrapper": True})
+    if not hasattr(inner, "_cache"):
+        return cast(Function, inner)
+    made: list[Any] = []
+
+    def keep(result: Any) -> None:  # numba would let Python call it, by an address that is none
+        inner.overloads[tuple(result.signature.args)] = result
+
+    def compile_for_python(*arguments: Any) -> Any:
+        if not made:
+            made.append(_dispatcher(function, cache.within(directory, CALLED), options))
+        return made[0]._compile_for_args(*arguments)
+
+    inner.add_overload, inner._compile_for_args = keep, compile_for_python
+    return cast(Function, inner)
+
+
+def _dispatcher(function: Function, directory: cache.DirectoryName, options: dict[str, Any]) -> Function:
     dispatcher: Any = njit(**options)(function)
     if hasattr(dispatcher, "_cache"):  # without a compiler (NUMBA_DISABLE_JIT) it has none
-        dispatcher._cache = LazyCache(function, cache.DIRECTORY)
+        dispatcher._cache = LazyCache(function, directory)
         dispatcher.typeof_pyval = _types_for(dispatcher)
     return cast(Function, dispatcher)
 
@@ -79,9 +108,9 @@ def lean(function: Function) -> Function:
 
 def part(function: Function) -> Function:
     """Compile a function that kernels call; always inlined."""
-    return _compiled(function, forceinline=True, **_LEAN)
+    return _inner(function, forceinline=True, **_LEAN)
 
 
 def piece(function: Function) -> Function:
     """Compile a function that kernels call, too large to be inlined wherever it is used."""
-    return _compiled(function, **_COUNTING)
+    return _inner(function, **_COUNTING)

@@ -57,9 +57,9 @@ OPEN = {  # modules that other layers may import as they are
 KNOWN_CYCLES: dict[
     tuple[str, str], str
 ] = {}  # an import that closes one -> why it is still there; empty is what we want
-KNOWN_UNTAKEN = {  # a name in a stub that no other layer takes -> why it is still there; empty is what we want
-    "node.geometry.passage": "taken by `node.tracing` alone, and goes with the next change of that layer",
-}
+KNOWN_UNTAKEN: dict[
+    str, str
+] = {}  # a name in a stub that no other layer takes -> why it is still there; empty is what we want
 FENCES = {  # insides of libraries, which change without notice -> who may know them
     "llvmlite": ("node.jit",),
     "numba.core": ("node.jit",),

@@ -70,7 +70,6 @@ TESTED_ELSEWHERE: dict[str, dict[str, str]] = {
         "host.client.async_connection": "host/client/test_async_client.py",
         "node.geometry.rigid_motion": "node/geometry/test_bvh_refit.py",
         "node.geometry.surfaces": "node/protocol/test_messages.py",
-        "node.jit.decorators": "node/jit/test_cache.py",
         "node.jit.target": "host/cli/test_doctor_facts.py",
         "node.jit.trusted_files": "node/jit/test_cache.py",
         "node.links.memory_channel": "node/links/test_link.py",
