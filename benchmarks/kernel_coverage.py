@@ -1,10 +1,10 @@
 """Runs the tests of kernels without a compiler, and prints how many of the kernels' lines they run.
 
-    python benchmarks/kernel_coverage.py [--least 95] [TEST ...]
+    python benchmarks/kernel_coverage.py [--least 95] [--processes 2] [TEST ...]
 
 Compiled code cannot be watched line by line, interpreted code can: NUMBA_DISABLE_JIT=1 makes every kernel a plain Python
-function, and every formula runs over numpy's numbers. Needs the package `coverage`. Exits with 1 if a test fails or if fewer
-lines run than asked for.
+function, and every formula runs over numpy's numbers. Each file of tests is a process of its own, two at a time. Needs the
+package `coverage`. Exits with 1 if a test fails or if fewer lines run than asked for.
 """
 
 from __future__ import annotations
@@ -16,22 +16,73 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from kernel_functions import kernels
 
 ROOT = Path(__file__).resolve().parent.parent
 LAYERS = ("node", "emulator")
-TESTS = (
-    "tests/node/tracing",
-    "tests/node/geometry",
-    "tests/node/protocol",
-    *(f"tests/node/jit/test_{name}.py" for name in ("formula", "intrinsics", "records", "switches")),
-    *(f"tests/node/links/test_{name}.py" for name in ("link", "link_flow", "control_channel")),
-    "tests/node/runtime/test_reduction.py",
-    "--ignore=tests/node/tracing/test_step.py",  # whole pictures on many shapes: an hour without a compiler
+
+
+class Suite(NamedTuple):
+    """A file of tests, or a part of it.
+
+    chosen  what of it runs, as pytest's -k has it; "": all that is not marked slow
+    """
+
+    file: str
+    chosen: str = ""
+
+
+SUITES = (
+    *map(Suite, sorted(str(p.relative_to(ROOT)) for folder in ("tracing", "geometry", "protocol") for p in (ROOT / "tests/node" / folder).glob("test_*.py"))),
 )
+
+
+class Ran(NamedTuple):
+    """How a file of tests went. code: pytest's; said: what it printed."""
+
+    suite: Suite
+    code: int
+    seconds: float
+    said: str
+
+
+def run_suite(suite: Suite, folder: str) -> Ran:
+    """Run tests interpreted; what coverage saw is left in the folder."""
+    watched = ["-m", "coverage", "run", "--parallel-mode", f"--data-file={folder}/data", f"--source={','.join(LAYERS)}"]
+    pytest = ["-m", "pytest", "-q", "-m", "not slow", "-W", "ignore::RuntimeWarning", "--durations=3", suite.file]
+    command = [sys.executable, *watched, *pytest, *(["-k", suite.chosen] if suite.chosen else [])]
+    begun = time.monotonic()
+    done = subprocess.run(
+        command, cwd=ROOT, env={**os.environ, "NUMBA_DISABLE_JIT": "1"}, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    return Ran(suite, done.returncode, time.monotonic() - begun, done.stdout)
+
+
+def run_all(suites: Sequence[Suite], processes: int, folder: str) -> bool:
+    """Run them so many at a time, and print how each went; whether all passed."""
+    passed = True
+    with ThreadPoolExecutor(processes) as pool:
+        for ran in pool.map(lambda suite: run_suite(suite, folder), suites):
+            passed = passed and ran.code == 0
+            print(f"{ran.suite.file:58}{ran.seconds:7.0f} s  {'passed' if ran.code == 0 else 'FAILED'}", flush=True)
+            if ran.code != 0:
+                print(ran.said, flush=True)
+    return passed
+
+
+def read_report(folder: str) -> dict[str, Any]:
+    """What coverage saw in all processes together."""
+    coverage, data = [sys.executable, "-m", "coverage"], f"--data-file={folder}/data"
+    subprocess.run([*coverage, "combine", "-q", data, folder], cwd=ROOT, check=True)
+    subprocess.run([*coverage, "json", "-q", data, "-o", f"{folder}/report.json"], cwd=ROOT, check=True)
+    found: dict[str, Any] = json.loads(Path(folder, "report.json").read_text())
+    return found
 
 
 def count(report: dict[str, Any]) -> dict[str, tuple[int, int, list[int]]]:
@@ -46,17 +97,6 @@ def count(report: dict[str, Any]) -> dict[str, tuple[int, int, list[int]]]:
                 lines += len(function["executed_lines"]) + len(function["missing_lines"])
                 found[file] = (lines, ran, sorted(missing + function["missing_lines"]))
     return found
-
-
-def run_tests(tests: list[str], folder: str) -> tuple[int, dict[str, Any]]:
-    """Run tests interpreted; returns pytest's exit code and the report."""
-    data, report = f"{folder}/data", f"{folder}/report.json"
-    coverage = [sys.executable, "-m", "coverage"]
-    pytest = ["-m", "pytest", "-q", "-m", "not slow", "-W", "ignore::RuntimeWarning", *tests]
-    command = [*coverage, "run", f"--data-file={data}", f"--source={','.join(LAYERS)}", *pytest]
-    code = subprocess.run(command, cwd=ROOT, env={**os.environ, "NUMBA_DISABLE_JIT": "1"}).returncode
-    subprocess.run([*coverage, "json", f"--data-file={data}", "-q", "-o", report], cwd=ROOT, check=True)
-    return code, json.loads(Path(report).read_text())
 
 
 def tell(found: dict[str, tuple[int, int, list[int]]]) -> float:
@@ -74,14 +114,15 @@ def main() -> int:
     """Run, print, and compare with what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--least", type=float, default=0.0, metavar="PERCENT")
-    parser.add_argument("tests", nargs="*", default=list(TESTS), metavar="TEST")
+    parser.add_argument("--processes", type=int, default=2, metavar="N")
+    parser.add_argument("tests", nargs="*", metavar="TEST", help="files of tests, instead of all that run kernels")
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        code, report = run_tests(asked.tests, folder)
-    share = tell(count(report))
+        passed = run_all([Suite(test) for test in asked.tests] or SUITES, asked.processes, folder)
+        share = tell(count(read_report(folder)))
     if share < asked.least:
         print(f"{share:.1f} % of the kernels' lines ran, wanted {asked.least:g} %", file=sys.stderr)
-    return 1 if code or share < asked.least else 0
+    return 0 if passed and share >= asked.least else 1
 
 
 if __name__ == "__main__":

@@ -52,7 +52,11 @@ AnyRecord = TypeVar("AnyRecord", bound=Record)
 def record(declared: type[AnyRecord]) -> type[AnyRecord]:
     """Make the annotated names of a class its fields, int64 each, in this order."""
     declared._fields_ = [(name, ctypes.c_int64) for name in inspect.get_annotations(declared)]
-    declared.dtype = np.dtype(declared)
-    if config.DISABLE_JIT:  # kernels are Python then, for which fields are attributes of such records alone
-        declared.dtype = np.dtype((np.record, declared.dtype))
+    declared.dtype = with_attributes(np.dtype(declared))
     return declared
+
+
+def with_attributes(dtype: np.dtype[np.void]) -> np.dtype[np.void]:
+    """A type of records of which kernels name fields as attributes, `rows[k].field`."""
+    # without a compiler kernels are Python, in which numpy's own records alone have such attributes
+    return np.dtype((np.record, dtype)) if config.DISABLE_JIT else dtype

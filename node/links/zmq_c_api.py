@@ -17,7 +17,7 @@ from functools import cache
 import numpy as np
 import zmq
 
-from raygrid.node.jit.records import Record, Rows, record
+from raygrid.node.jit.records import Record, Rows, record, with_attributes
 from raygrid.node.jit.switches import NATIVE_LINKS, why_off
 
 MESSAGE_WORDS = 8  # of a zmq_msg_t, which has 64 bytes and wants to begin at a multiple of 8
@@ -38,7 +38,7 @@ _CHECKSUMS = ("XXH3_64bits_withSeed_dispatch", "XXH3_64bits_withSeed")
 _SLEEP, _CLOCK = "usleep", "clock_gettime"
 OLD_SWITCH, BY_PYTHON = "RAYGRID_LINKS", "python"  # what RAYGRID_NATIVE_LINKS=0 was called at first
 # a zmq_pollitem_t: address of a socket (0: none), else a descriptor; events that are wanted and that were found
-POLL_ITEM = np.dtype([("socket", "i8"), ("descriptor", "i4"), ("wanted", "i2"), ("found", "i2")])
+POLL_ITEM = with_attributes(np.dtype([("socket", "i8"), ("descriptor", "i4"), ("wanted", "i2"), ("found", "i2")]))
 
 
 @record
