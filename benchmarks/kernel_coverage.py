@@ -16,7 +16,6 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -31,20 +30,43 @@ LAYERS = ("node", "emulator")
 class Suite(NamedTuple):
     """A file of tests, or a part of it.
 
-    chosen  what of it runs, as pytest's -k has it; "": all that is not marked slow
+    chosen  what of it runs, as pytest's -k has it, slow ones too; "": all that is not marked slow
     """
 
     file: str
     chosen: str = ""
 
 
+def _suites(folder: str, names: str) -> tuple[Suite, ...]:
+    return tuple(Suite(f"tests/node/{folder}/test_{name}.py") for name in names.split())
+
+
+# those that take longest first. Left out are whole pictures on many shapes (tests/node/tracing/test_step.py: an hour without
+# a compiler), and what is about numba, caches and processes; test_interpreted has the whole machine instead
 SUITES = (
-    *map(Suite, sorted(str(p.relative_to(ROOT)) for folder in ("tracing", "geometry", "protocol") for p in (ROOT / "tests/node" / folder).glob("test_*.py"))),
+    Suite("tests/system/test_interpreted.py"),
+    *_suites("geometry", "bvh grid_walk power overlap intersect lattice"),
+    *_suites("runtime", "event_loop waves timers profile"),
+    Suite("tests/node/runtime/test_reduction.py", "after_the_same_work or python_does_not or range or length"),
+    Suite(
+        "tests/node/tracing/test_primaries.py", "packets_of_primary or middle_of_its_pixel or without_pixels or one_row"
+    ),
+    *_suites("tracing", "primary_rays ray_setup step_by_hand ray_classify spawn"),
+    *_suites("tracing", "framebuffer work_queues background no_direction"),
+    *_suites("protocol", "packets messages commands timestamps framing"),
+    *_suites("geometry", "bvh_refit rounded spanning_tree quaternion"),
+    *_suites("jit", "formula intrinsics records switches indirect"),
+    *_suites("links", "link link_flow control_channel"),
+    Suite("tests/node/programs/test_powers.py"),
+    Suite("tests/node/programs/test_programs.py", "background_is_seen"),
 )
 
 
 class Ran(NamedTuple):
-    """How a file of tests went. code: pytest's; said: what it printed."""
+    """How a file of tests went.
+
+    code  pytest's; seconds: of processor time; said: what it printed
+    """
 
     suite: Suite
     code: int
@@ -55,13 +77,15 @@ class Ran(NamedTuple):
 def run_suite(suite: Suite, folder: str) -> Ran:
     """Run tests interpreted; what coverage saw is left in the folder."""
     watched = ["-m", "coverage", "run", "--parallel-mode", f"--data-file={folder}/data", f"--source={','.join(LAYERS)}"]
-    pytest = ["-m", "pytest", "-q", "-m", "not slow", "-W", "ignore::RuntimeWarning", "--durations=3", suite.file]
-    command = [sys.executable, *watched, *pytest, *(["-k", suite.chosen] if suite.chosen else [])]
-    begun = time.monotonic()
-    done = subprocess.run(
-        command, cwd=ROOT, env={**os.environ, "NUMBA_DISABLE_JIT": "1"}, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    )
-    return Ran(suite, done.returncode, time.monotonic() - begun, done.stdout)
+    pytest = ["-m", "pytest", "-q", "-W", "ignore::RuntimeWarning", suite.file]
+    command = [sys.executable, *watched, *pytest, *(["-k", suite.chosen] if suite.chosen else ["-m", "not slow"])]
+    with tempfile.TemporaryFile("w+") as said:
+        environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+        process = subprocess.Popen(command, cwd=ROOT, env=environment, stdout=said, stderr=subprocess.STDOUT)
+        _, status, spent = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        said.seek(0)
+        return Ran(suite, process.returncode, spent.ru_utime + spent.ru_stime, said.read())
 
 
 def run_all(suites: Sequence[Suite], processes: int, folder: str) -> bool:
@@ -70,7 +94,9 @@ def run_all(suites: Sequence[Suite], processes: int, folder: str) -> bool:
     with ThreadPoolExecutor(processes) as pool:
         for ran in pool.map(lambda suite: run_suite(suite, folder), suites):
             passed = passed and ran.code == 0
-            print(f"{ran.suite.file:58}{ran.seconds:7.0f} s  {'passed' if ran.code == 0 else 'FAILED'}", flush=True)
+            print(
+                f"{ran.suite.file:58}{ran.seconds:7.0f} s of CPU  {'passed' if ran.code == 0 else 'FAILED'}", flush=True
+            )
             if ran.code != 0:
                 print(ran.said, flush=True)
     return passed

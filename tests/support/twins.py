@@ -1,6 +1,6 @@
 """Small frames by every part of the machine that has kernels, told as facts that compiled and interpreted kernels must agree on.
 
-    python -m support.twins          all facts as JSON, of kernels as this process has them (NUMBA_DISABLE_JIT)
+python -m support.twins          all facts as JSON, of kernels as this process has them (NUMBA_DISABLE_JIT)
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from raygrid.emulator.analysis.deadlock_model import NaiveMachine
 from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.emulator.partition import split
 from raygrid.emulator.processes.array import Array
+from raygrid.emulator.simulator import simulator
 from raygrid.emulator.simulator.simulator import hold
 from raygrid.emulator.simulator.work_count import count_cell_work, price_lists
 from raygrid.host.cli.trace import trace_pixel
@@ -32,15 +33,19 @@ from raygrid.host.render.frame import render_job
 from raygrid.host.render.job import Job, Settings, make_job
 from raygrid.host.render.program_file import read_program
 from raygrid.host.scene.load import load_scene
-from raygrid.node.runtime.profile_parts import PARTS
+from raygrid.node.timed import timed_processor
 from support import paths
 from support.motions import holdings
 from support.timed import Books, books_of, emulated, job_of, scene_of, simulated
 
 Facts = dict[str, Any]
 SECONDS = 800  # for all cases, with compiling; only a failing test takes as long
-SIZE = (8, 6)
-BOTH_KINDS = ("kinds.nff", "glass.toml")  # every NFF primitive, smooth normals and mirrors; glass and lights that are seen
+SIZE = (6, 4)
+BOTH_KINDS = (
+    "kinds.nff",
+    "glass.toml",
+)  # every NFF primitive, smooth normals and mirrors; glass and lights that are seen
+TIMED = (("kinds.nff", "t800", "list"), ("glass.toml", "8086", "tree"))  # scene, costs, how hits are searched for
 COUNTED = ("born", "died", "walks", "hits", "tests", "boxes")
 
 
@@ -77,32 +82,42 @@ def pictures() -> Facts:
     """Every kind of surface, material and light, on arrays of two shapes."""
     facts = {}
     for name in BOTH_KINDS:
-        told = [in_memory(job_of(name, shape, SIZE, samples=1)) for shape in ((1, 1, 1), (2, 2, 1))]
-        assert told[0]["sums"] == told[1]["sums"]
-        facts[name] = told
+        whole, parts = (in_memory(job_of(name, shape, SIZE, samples=1)) for shape in ((1, 1, 1), (2, 2, 1)))
+        single = in_memory(job_of(name, (2, 1, 1), SIZE, samples=1), batch=1)
+        assert whole["sums"] == parts["sums"] == single["sums"]
+        facts[name] = [whole, parts, single]
+    facts["beside the world box"] = in_memory(wide_job())
     return facts
+
+
+def wide_job() -> Job:
+    """A frame of which most rays miss the world box."""
+    return make_job(scene_of("tiny.nff"), (2, 1, 1), Settings(size=(40, 5), samples=1))
 
 
 def balanced() -> Facts:
     """A split by a sampling pre-pass: its planes, and the picture that must not depend on them."""
     with mock.patch.object(split, "WORTHWHILE", 0):
-        job = job_of("glass.toml", (3, 2, 1), SIZE, "balanced", samples=1)
+        job = job_of("glass.toml", (2, 2, 2), SIZE, "balanced", samples=1)
     return {"planes": job.space.planes.tolist(), **in_memory(job)}
 
 
 def machine_time() -> Facts:
     """A frame by nodes that keep machine time: links that move bytes by themselves, and processors that do it."""
     facts = {}
-    for name, cost, search in (("kinds.nff", "t800", "list"), ("glass.toml", "8086", "tree")):
-        facts[f"{name} {cost}"] = _books(emulated(job_of(name, (2, 2, 1), SIZE, samples=1), cost, search))
+    for (name, cost, search), batch in zip(TIMED, (1024, 1), strict=True):
+        with mock.patch.object(timed_processor, "FIRST_CLOCK_ROOM", 8):  # it must grow
+            books = emulated(job_of(name, (2, 2, 1), SIZE, samples=1), cost, search, batch=batch)
+        facts[f"{name} {cost}"] = _books(books)
     return facts
 
 
 def simulation() -> Facts:
     """The same frames by the simulator, with set-up and read-out: the books must be those of the nodes."""
     facts = {}
-    for name, cost, search in (("kinds.nff", "t800", "list"), ("glass.toml", "8086", "tree")):
-        done = simulated(job_of(name, (2, 2, 1), SIZE, samples=1), cost, search, around=True)
+    for name, cost, search in TIMED:
+        with mock.patch.multiple(simulator, FIRST_ROOM=16, TURN_EVENTS=100):  # it must grow, and come back between
+            done = simulated(job_of(name, (2, 2, 1), SIZE, samples=1), cost, search, around=True)
         phases = {"frame": done.frames["middle"], "read-out": done.read_outs["middle"]}
         facts[f"{name} {cost}"] = _books(books_of(done)) | {
             "flood": [done.floods["middle"].ticks, done.floods["middle"].visits],
@@ -116,7 +131,10 @@ def simulation() -> Facts:
 
 def work_count() -> Facts:
     """What each cell would do for a frame, by two price lists."""
-    job = job_of("kinds.nff", (2, 1, 2), SIZE, samples=1)
+    return {"inside": _work_of(job_of("kinds.nff", (2, 1, 2), SIZE, samples=1)), "beside": _work_of(wide_job())}
+
+
+def _work_of(job: Job) -> Facts:
     holding = hold(job.space, job.surfaces, "list")
     models = [load_cost_model(name) for name in ("8086", "t800")]
     prices = [model.prices("middle", "list") for model in models]
@@ -126,9 +144,9 @@ def work_count() -> Facts:
 
 
 def deadlock() -> Facts:
-    """The naive machine, which jams with room for four packets a buffer."""
-    job = job_of("tiny.nff", (2, 2, 2), (24, 24), samples=1)
-    outcome = NaiveMachine(job.space, job.surfaces, job.frame, 4).run()
+    """The naive machine, which jams with room for one packet a buffer."""
+    job = job_of("tiny.nff", (2, 2, 2), (8, 8), samples=1)
+    outcome = NaiveMachine(job.space, job.surfaces, job.frame, 1).run()
     assert outcome.jammed
     return dataclasses.asdict(outcome)
 
@@ -136,8 +154,7 @@ def deadlock() -> Facts:
 def provenance() -> Facts:
     """The ray trees of pixels: a glass ball, the sky beside the world box."""
     job = job_of("glass.toml", (2, 1, 1), (12, 7), samples=2)
-    wide = make_job(scene_of("tiny.nff"), (2, 1, 1), Settings(size=(60, 5), samples=1))
-    return {"ball": trace_pixel(job, 6, 4), "sky": trace_pixel(wide, 0, 2)}
+    return {"ball": trace_pixel(job, 6, 4), "sky": trace_pixel(wide_job(), 0, 2)}
 
 
 def movement() -> Facts:
@@ -154,7 +171,7 @@ def movement() -> Facts:
 
 def profile() -> Facts:
     """A profiled frame, of which parts are traced once more aside: nothing of that shows."""
-    job = job_of("kinds.nff", (2, 1, 1), (24, 18), samples=1)
+    job = job_of("kinds.nff", (2, 1, 1), (12, 10), samples=1)
     facts = in_memory(job, profile=True)
     assert facts == in_memory(job)
     return facts

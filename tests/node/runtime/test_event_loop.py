@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import re
 import shutil
 import tempfile
@@ -232,6 +233,23 @@ def test_compiled_code_serves_the_link_and_python_does_not(beds, monkeypatch):
     assert outcome(native, messages(native.peer, [some_packets(50)]))["said"] == ""
     assert native.node.node_state.native.links[UPWARDS]["socket"] == native.pair.socket.underlying
     assert native.node.node_state.native.links[UPWARDS]["regular"] == 1
+
+
+def test_a_node_that_may_wait_is_woken_by_what_is_for_python(beds):
+    """A descriptor that compiled code knows nothing of, and a message of a link that is not for it."""
+    _, native = beds()
+    ends = os.pipe()
+    try:
+        table = NativeLinkTable(native.node.links, {UPWARDS: native.pair}, native.node.reductions.reduction, [ends[0]])
+        native.node._link_table.close()
+        native.node.use_native_links(table)
+        os.write(ends[1], b"x")
+        assert not native.node.work(wait=True)
+        assert table.native.items["found"].tolist() == [0, zmq.POLLIN]
+        assert outcome(native, messages(native.peer, [some_packets(5)]))["received"][2] == 1
+    finally:
+        for end in ends:
+            os.close(end)
 
 
 def test_a_link_without_a_socket_of_its_own_is_left_to_python(beds):
