@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from pathlib import Path
 from typing import NamedTuple
 
 from raygrid.host.cli.main import cli
@@ -11,7 +12,8 @@ from support import paths
 
 ROOT = paths.ROOT
 RUN = "<!-- run -->"  # before a block of code: its lines are run, small
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+FILE = re.compile(r"^<!-- file: (\S+) -->\n```\w*\n(.*?)^```", re.M | re.S)  # what the reader is to put into a file
 COMMENT = re.compile(r"\s+#\s.*$|\s{3,}\S.*$")  # what a line says of itself, behind it
 
 
@@ -42,6 +44,17 @@ def lines_of(text: str, name: str) -> list[Line]:
         if line.strip():
             before = line if line.startswith("    ") and not fenced else line.strip()
     return found
+
+
+def files_of(page: Path) -> dict[str, str]:
+    """Files that a page lets its reader write, name -> text. Who reads a tutorial has those of the others."""
+    pages = sorted(page.parent.glob("*.md")) if is_tutorial(page) else [page]
+    return dict(found for one in pages for found in FILE.findall(one.read_text()))
+
+
+def is_tutorial(page: Path) -> bool:
+    """Whether a page is gone through from its beginning to its end."""
+    return page.parent.name == "tutorials"
 
 
 def documented() -> list[Line]:

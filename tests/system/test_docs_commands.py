@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 import pytest
 from support.cli import as_process, here, warm_kernels
-from support.docs import PAGES, ROOT, Line, documented, lines_of, of_help, sittings, small
+from support.docs import PAGES, ROOT, Line, documented, files_of, is_tutorial, lines_of, of_help, sittings, small
 
 from raygrid.host.cli.main import cli
 from raygrid.host.scene.load import READERS
@@ -17,8 +17,13 @@ from raygrid.host.scene.load import READERS
 __all__ = ["warm_kernels"]
 
 LINES = [*documented(), *of_help()]
-MARKED = [[line for line in lines_of(page.read_text(), page.name) if line.runs] for page in PAGES]
-SITTINGS = [sitting for lines in MARKED for sitting in sittings(lines)]
+MARKED = {page: [line for line in lines_of(page.read_text(), page.name) if line.runs] for page in PAGES}
+SITTINGS = [
+    pytest.param(sitting, page, id=sitting[0].where)
+    for page, lines in MARKED.items()
+    for sitting in ([lines] if is_tutorial(page) else sittings(lines))
+]
+WRITTEN = {name for page in PAGES for name in files_of(page)}
 # Scenes of the Standard Procedural Databases, which README says how to get, and measurements beside their commands.
 ELSEWHERE = re.compile(
     r"(tetra|mount|balls|gears|rings|teapot|shells|jacks|lattice|tree)_\d+\.nff|\$RAYGRID_SHARED/.*|ring\.ply"
@@ -45,14 +50,15 @@ def test_every_line_parses_and_its_files_are_there(line):
     read += context.params.get("scenes") or ()
     for path in map(str, read):
         assert Path(path).suffix in (*READERS, ".py"), path
-        assert (ROOT / path).is_file() or ELSEWHERE.fullmatch(path), f"{line.where}: {path} is not shipped"
+        known = (ROOT / path).is_file() or ELSEWHERE.fullmatch(path) or path in WRITTEN
+        assert known, f"{line.where}: {path} is not shipped"
 
 
 def test_the_lines_are_found():
     """So that no test above passes for want of lines."""
     assert len(documented()) > 50
     assert len(of_help()) > 30
-    assert sum(map(len, SITTINGS)) > 20
+    assert sum(map(len, MARKED.values())) > 20
     page = "<!-- run -->\n```\nraygrid info x.nff      what is in it\n```\n\n    raygrid up && raygrid down  # both\n"
     assert [(line.words, line.runs) for line in lines_of(page, "x")] == [
         (["info", "x.nff"], True),
@@ -93,13 +99,15 @@ def test_no_summary_of_a_command_is_cut():
 
 @pytest.mark.timeout(900)  # kernels and a program are compiled, each a minute on a quiet computer
 @pytest.mark.usefixtures("no_leftovers", "warm_kernels")
-@pytest.mark.parametrize("lines", SITTINGS, ids=lambda lines: lines[0].where)
-def test_marked_lines_run(lines, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("lines", "page"), SITTINGS)
+def test_marked_lines_run(lines, page, tmp_path, monkeypatch):
     """One after the other in one folder, as a reader would, with few pixels, frames and processors."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     Path("scenes").symlink_to(ROOT / "scenes")
     Path("out").mkdir()
+    for name, text in files_of(page).items():
+        Path(name).write_text(text)
     try:
         for line in lines:
             if any(word.endswith(".mp4") for word in line.words) and shutil.which("ffmpeg") is None:

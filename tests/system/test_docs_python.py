@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 from support.cli import warm_kernels
-from support.docs import PAGES, ROOT
+from support.docs import PAGES, ROOT, files_of
 from support.service import lasting
 
 __all__ = ["warm_kernels"]
 
 SNIPPETS = [
-    pytest.param(found, id=f"{page.stem}-{number}")
+    pytest.param(found, page, id=f"{page.stem}-{number}")
     for page in PAGES
     for number, found in enumerate(re.findall(r"^```python\n(.*?)^```", page.read_text(), re.M | re.S), 1)
 ]
@@ -26,11 +26,13 @@ def film(warm_kernels, tmp_path_factory):
         yield name
 
 
-@pytest.mark.parametrize("snippet", SNIPPETS)
-def test_a_snippet_runs(snippet, film, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("snippet", "page"), SNIPPETS)
+def test_a_snippet_runs(snippet, page, film, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("scenes").symlink_to(ROOT / "scenes")
     Path("out").mkdir()
+    for name, text in files_of(page).items():
+        Path(name).write_text(text)
     for large, little in SMALL.items():
         snippet = snippet.replace(large, little)
     monkeypatch.setattr(logging, "basicConfig", lambda **_: None)  # it would stay for other tests
