@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tomllib
 import zipfile
+from email import message_from_bytes
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +39,12 @@ def installed_as(path: Path) -> str:
     """Where a source file lies in the wheel."""
     name = path.relative_to(ROOT).as_posix()
     return "raygrid/" + name.removeprefix("host/facade/")
+
+
+def split_bounds(wanted: str) -> tuple[str, ...]:
+    """A library and its bounds, however they are ordered."""
+    name, *bounds = re.split(r"(?=[<>])|,", wanted.replace(" ", ""))
+    return (name, *sorted(filter(None, bounds)))
 
 
 @pytest.fixture(scope="module")
@@ -94,6 +102,25 @@ def test_the_wheel_has_what_the_sources_have_and_nothing_else(wheel):
     assert {"raygrid/aio.py", "raygrid/host/scene/demo.toml"} <= ours
     assert {"raygrid/py.typed", "raygrid/emulator/costs/8086.toml", "raygrid/node/tracing/__init__.pyi"} <= ours
     assert {name.partition("/")[0].partition("-")[0] for name in names} == {"raygrid"}
+
+
+@pytest.mark.slow
+def test_the_wheel_says_what_it_is(wheel):
+    project = SETTINGS["project"]
+    with zipfile.ZipFile(wheel) as packed:
+        (name,) = (name for name in packed.namelist() if name.endswith(".dist-info/METADATA"))
+        said = message_from_bytes(packed.read(name))
+    assert said.get_all("Classifier") == project["classifiers"]
+    assert said["Name"] == "raygrid"
+    assert said["Version"] == project["version"]
+    assert said["Requires-Python"] == project["requires-python"]
+    assert said["License-Expression"] == project["license"]
+    assert said["Summary"] == project["description"]
+    assert said["Description-Content-Type"] == "text/markdown"
+    assert sorted(said.get_all("Provides-Extra")) == sorted(project["optional-dependencies"])
+    assert said.get_payload().lstrip().startswith("# raygrid")
+    plain = [wanted for wanted in said.get_all("Requires-Dist") if "extra ==" not in wanted]
+    assert {split_bounds(wanted) for wanted in plain} == {split_bounds(wanted) for wanted in project["dependencies"]}
 
 
 @pytest.mark.slow
