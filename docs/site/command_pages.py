@@ -12,6 +12,7 @@ from markdown import block, code, escaped, table
 from raygrid.host.cli.main import cli
 
 FOLDER = "reference/commands"
+PAGE_NAMED = re.compile(r"docs/([\w-]+)\.md")
 EXAMPLES = re.compile(r"Examples?:\n(.*)", re.S)
 
 
@@ -40,15 +41,20 @@ def _page(name: str, command: click.Command) -> str:
     usage = " ".join(command.get_usage(context).removeprefix("Usage: ").split())
     parts = [f"# raygrid {name}", *_paragraphs(command.help or ""), block(usage)]
     records = [record for one in command.get_params(context) if (record := one.get_help_record(context)) is not None]
-    rows = [(code(spelt), escaped(told)) for spelt, told in records]
+    rows = [(code(spelt), _said(told)) for spelt, told in records]
     parts += ["## Options", table(("option", "what it means"), rows), *_epilog(command.epilog or "")]
     return "\n\n".join(parts) + "\n"
+
+
+def _said(text: str) -> str:
+    """Words of help, with the documents that they name as links."""
+    return PAGE_NAMED.sub(r"[\1](../../\1.md)", escaped(text))
 
 
 def _paragraphs(text: str) -> list[str]:
     """Paragraphs of help; one that begins with click's mark for text to be left as it is becomes a block."""
     found = re.split(r"\n\s*\n", inspect.cleandoc(text))
-    return [block(part.replace("\b\n", "")) if "\b" in part else escaped(part) for part in found if part.strip()]
+    return [block(part.replace("\b\n", "")) if "\b" in part else _said(part) for part in found if part.strip()]
 
 
 def _epilog(text: str) -> list[str]:
@@ -59,5 +65,5 @@ def _epilog(text: str) -> list[str]:
         if (examples := EXAMPLES.fullmatch(plain)) is not None:
             parts += ["## Examples", block(textwrap.dedent(examples[1]))]
         elif plain.strip():
-            parts.append(escaped(plain))
+            parts.append(_said(plain))
     return parts

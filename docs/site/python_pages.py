@@ -133,9 +133,10 @@ def _parts(lines: list[str]) -> Iterator[tuple[str, list[str]]]:
 
 
 def _plain(text: str) -> str:
-    """Text in which nothing but code in backticks is markup."""
+    """Text in which nothing but code in backticks is markup, with the documents that it names as links."""
     parts = re.split(r"(`[^`]+`)", text)
-    return "".join(
-        f"`{part}`" if part.startswith("`") and len(part) > 1 else re.sub(r"([\\*|_`])", r"\\\1", part)
-        for part in parts
-    )
+    return "".join(f"`{part}`" if part.startswith("`") and len(part) > 1 else _linked(part) for part in parts)
+
+
+def _linked(text: str) -> str:
+    return re.sub(r"docs/([\w-]+)\.md", r":doc:`\1 </\1>`", re.sub(r"([\\*|_`])", r"\\\1", text))

@@ -16,7 +16,6 @@ WHERE = {  # kind -> what tells of it in words
     "request": "[service.md](../../service.md#the-protocol) has the protocol, and its answers.",
     "sample": "[probes.md](../../probes.md#a-sample) says what each key means.",
 }
-FEW = 20  # choices of a union that are listed by name
 Schema = dict[str, Any]
 
 
@@ -70,7 +69,8 @@ def _keys(schema: Schema) -> str:
     rows = []
     for key, made in schema["properties"].items():
         default = "required" if key in required else code(json.dumps(made["default"])) if "default" in made else ""
-        rows.append((code(key), _kind(made), "-" if default in ("", "`null`") else default))
+        kind = _kind(made) + (" or `null`" if key in required and {"type": "null"} in made.get("anyOf", ()) else "")
+        rows.append((code(key), kind, "-" if default in ("", "`null`") else default))
     return table(("key", "what it takes", "default"), rows)
 
 
@@ -95,7 +95,7 @@ def _array(schema: Schema) -> str:
         kinds = list(dict.fromkeys(_kind(made) for made in schema["prefixItems"]))
         return f"[{len(schema['prefixItems'])} of: {'; '.join(kinds)}]".replace("[", r"\[", 1)
     least, most = schema.get("minItems"), schema.get("maxItems")
-    count = f"{least} or more" if least and most is None else f"up to {most}" if most else "any number"
+    count = f"{least} or more" if least and most is None else f"up to {_number(most)}" if most else "any number"
     return f"a list, {count}, of {_kind(schema['items'])}" if schema.get("items") else "a list"
 
 
@@ -113,9 +113,13 @@ def _plain(schema: Schema) -> str:
     low = schema.get("minimum", schema.get("ge"))
     high = schema.get("maximum", schema.get("le"))
     bounds = [
-        f"from {low:g}" if low is not None and low > -1e30 else "",
-        f"above {schema['exclusiveMinimum']:g}" if "exclusiveMinimum" in schema else "",
-        f"to {high:g}" if high is not None and high < 1e30 else "",
-        f"below {schema['exclusiveMaximum']:g}" if "exclusiveMaximum" in schema else "",
+        f"from {_number(low)}" if low is not None and low > -1e30 else "",
+        f"above {_number(schema['exclusiveMinimum'])}" if "exclusiveMinimum" in schema else "",
+        f"to {_number(high)}" if high is not None and high < 1e30 else "",
+        f"below {_number(schema['exclusiveMaximum'])}" if "exclusiveMaximum" in schema else "",
     ]
     return " ".join([said, *filter(None, bounds)])
+
+
+def _number(value: float) -> str:
+    return f"{int(value):,}" if value == int(value) and abs(value) < 1e16 else f"{value:g}"

@@ -14,6 +14,8 @@ ROOT = paths.ROOT
 RUN = "<!-- run -->"  # before a block of code: its lines are run, small
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 FILE = re.compile(r"^<!-- file: (\S+) -->\n```\w*\n(.*?)^```", re.M | re.S)  # what the reader is to put into a file
+SNIPPET = re.compile(r"^```python\n(.*?)^```", re.M | re.S)
+SMALL = {"640, 480": "64, 48", "800, 600": "64, 48", "frames=(1, 48)": "frames=(1, 2)", '"2x2x2"': '"2x1x1"'}
 COMMENT = re.compile(r"\s+#\s.*$|\s{3,}\S.*$")  # what a line says of itself, behind it
 
 
@@ -52,6 +54,14 @@ def files_of(page: Path) -> dict[str, str]:
     return dict(found for one in pages for found in FILE.findall(one.read_text()))
 
 
+def snippets(page: Path) -> list[str]:
+    """The Python blocks of a page, with few pixels, frames and processors."""
+    found = SNIPPET.findall(page.read_text())
+    for large, little in SMALL.items():
+        found = [snippet.replace(large, little) for snippet in found]
+    return found
+
+
 def is_tutorial(page: Path) -> bool:
     """Whether a page is gone through from its beginning to its end."""
     return page.parent.name == "tutorials"
@@ -73,6 +83,12 @@ def sittings(lines: list[Line]) -> list[list[Line]]:
         else:
             found.append([line])
     return found
+
+
+def marked(page: Path) -> list[list[Line]]:
+    """The marked lines of a page by what a reader does in one go: all of a tutorial, else as `sittings` has them."""
+    lines = [line for line in lines_of(page.read_text(), page.name) if line.runs]
+    return [lines] if lines and is_tutorial(page) else sittings(lines)
 
 
 def of_help() -> list[Line]:

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 import pytest
 from support.cli import as_process, here, warm_kernels
-from support.docs import PAGES, ROOT, Line, documented, files_of, is_tutorial, lines_of, of_help, sittings, small
+from support.docs import PAGES, ROOT, Line, documented, files_of, lines_of, marked, of_help, small
 
 from raygrid.host.cli.main import cli
 from raygrid.host.scene.load import READERS
@@ -17,12 +17,8 @@ from raygrid.host.scene.load import READERS
 __all__ = ["warm_kernels"]
 
 LINES = [*documented(), *of_help()]
-MARKED = {page: [line for line in lines_of(page.read_text(), page.name) if line.runs] for page in PAGES}
-SITTINGS = [
-    pytest.param(sitting, page, id=sitting[0].where)
-    for page, lines in MARKED.items()
-    for sitting in ([lines] if is_tutorial(page) else sittings(lines))
-]
+MARKED = {page: marked(page) for page in PAGES}
+SITTINGS = [pytest.param(lines, page, id=lines[0].where) for page, lists in MARKED.items() for lines in lists]
 WRITTEN = {name for page in PAGES for name in files_of(page)}
 # Scenes of the Standard Procedural Databases, which README says how to get, and measurements beside their commands.
 ELSEWHERE = re.compile(
@@ -58,7 +54,7 @@ def test_the_lines_are_found():
     """So that no test above passes for want of lines."""
     assert len(documented()) > 50
     assert len(of_help()) > 30
-    assert sum(map(len, MARKED.values())) > 20
+    assert sum(len(lines) for lists in MARKED.values() for lines in lists) > 50
     page = "<!-- run -->\n```\nraygrid info x.nff      what is in it\n```\n\n    raygrid up && raygrid down  # both\n"
     assert [(line.words, line.runs) for line in lines_of(page, "x")] == [
         (["info", "x.nff"], True),

@@ -1,23 +1,21 @@
 """Every Python snippet of README and docs runs, as a reader would type it, with the scenes beside it and an array that is up."""
 
 import logging
-import re
 import warnings
 from pathlib import Path
 
 import pytest
 from support.cli import warm_kernels
-from support.docs import PAGES, ROOT, files_of
+from support.docs import PAGES, ROOT, files_of, snippets
 from support.service import lasting
 
 __all__ = ["warm_kernels"]
 
 SNIPPETS = [
-    pytest.param(found, page, id=f"{page.stem}-{number}")
+    pytest.param(snippet, page, id=f"{page.stem}-{number}")
     for page in PAGES
-    for number, found in enumerate(re.findall(r"^```python\n(.*?)^```", page.read_text(), re.M | re.S), 1)
+    for number, snippet in enumerate(snippets(page), 1)
 ]
-SMALL = {"640, 480": "64, 48", "800, 600": "64, 48", "frames=(1, 48)": "frames=(1, 2)", '"2x2x2"': '"2x1x1"'}
 
 
 @pytest.fixture(scope="module")
@@ -33,8 +31,6 @@ def test_a_snippet_runs(snippet, page, film, tmp_path, monkeypatch):
     Path("out").mkdir()
     for name, text in files_of(page).items():
         Path(name).write_text(text)
-    for large, little in SMALL.items():
-        snippet = snippet.replace(large, little)
     monkeypatch.setattr(logging, "basicConfig", lambda **_: None)  # it would stay for other tests
     with warnings.catch_warnings():
         exec(compile(snippet, "<snippet>", "exec", dont_inherit=True), {"__name__": "snippet"})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -15,11 +16,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from support.docs import PAGES, files_of, marked, small, snippets
 from support.modules import read_modules
 from support.paths import ROOT, SCENES
 
 LAYERS = ("node", "emulator", "host")
 SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text())
+NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 LONG = 800  # seconds for a first run, which compiles
 # On a slow computer compiling takes longer than a command waits for it.
 WARM = f"""
@@ -68,6 +71,13 @@ def installed(wheel, tmp_path_factory):
     call(sys.executable, "-m", "venv", str(home))
     call(str(home / "bin" / "python"), "-m", "pip", "install", "--quiet", str(wheel))
     return home / "bin"
+
+
+@pytest.fixture(scope="module")
+def complete(installed, wheel):
+    """The same environment, with the libraries that pages name as extras."""
+    call(str(installed / "python"), "-m", "pip", "install", "--quiet", f"{wheel}[law,prometheus]")
+    return installed
 
 
 @pytest.fixture(scope="module")
@@ -146,17 +156,69 @@ def test_everything_works_from_there(installed, surroundings, tmp_path):
     def raygrid(*words: str) -> str:
         return call(str(installed / "raygrid"), *words, env=surroundings, cwd=tmp_path)
 
-    small = ["--size", "24x16", "--samples", "1"]
+    few = ["--size", "24x16", "--samples", "1"]
     call(str(installed / "python"), "-c", WARM, env=surroundings, cwd=tmp_path)
-    raygrid("render", "tiny.nff", "--array", "2x1x1", *small, "-o", "render.png", "-q")
-    raygrid("demo", "--array", "2x1x1", *small, "-q")
+    raygrid("render", "tiny.nff", "--array", "2x1x1", *few, "-o", "render.png", "-q")
+    raygrid("demo", "--array", "2x1x1", *few, "-q")
     assert Image.open(tmp_path / "demo.png").size == (24, 16)
-    told = raygrid("simulate", "tiny.nff", "--array", "2x1x1", "--cost", "8086", *small)
+    told = raygrid("simulate", "tiny.nff", "--array", "2x1x1", "--cost", "8086", *few)
     assert "ticks" in told or "seconds" in told
     raygrid("up", "--array", "2x1x1", "--name", "wheel")
     try:
-        raygrid("submit", "tiny.nff", "--name", "wheel", *small, "-o", "submit.png")
+        raygrid("submit", "tiny.nff", "--name", "wheel", *few, "-o", "submit.png")
     finally:
         raygrid("down", "--name", "wheel")
     rendered, submitted = (np.asarray(Image.open(tmp_path / name)) for name in ("render.png", "submit.png"))
     assert np.array_equal(rendered, submitted)  # not the files: those of a service carry marks for --resume
+
+
+def as_a_reader(page: Path, folder: Path) -> Path:
+    """A folder with what a page takes for granted: the scenes, a folder for pictures, the files that it lets its reader write."""
+    folder.mkdir()
+    (folder / "scenes").symlink_to(SCENES)
+    (folder / "out").mkdir()
+    for name, text in files_of(page).items():
+        (folder / name).write_text(text)
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(4 * LONG)
+@pytest.mark.usefixtures("no_leftovers")
+def test_marked_lines_run_from_there(complete, surroundings, tmp_path):
+    """Every line of README, docs and tutorials that is marked, as a reader would type it who has only the wheel and the scenes."""
+    call(str(complete / "python"), "-c", WARM, env=surroundings, cwd=tmp_path)
+    ran = 0
+    for page in PAGES:
+        for number, lines in enumerate(marked(page)):
+            folder = as_a_reader(page, tmp_path / f"{page.stem}-{number}")
+            for line in lines:
+                if not any(word.endswith(".mp4") for word in line.words) or shutil.which("ffmpeg") is not None:
+                    call(str(complete / "raygrid"), *small(line.words), env=surroundings, cwd=folder)
+                    ran += 1
+    assert ran > 70
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(4 * LONG)
+@pytest.mark.usefixtures("no_leftovers")
+def test_snippets_and_notebooks_run_from_there(complete, surroundings, tmp_path):
+    """Every Python block, and the cells of every notebook, one after the other, as a program."""
+    python, raygrid = str(complete / "python"), str(complete / "raygrid")
+    call(python, "-c", WARM, env=surroundings, cwd=tmp_path)
+    programs = [(page, snippet) for page in PAGES for snippet in snippets(page)]
+    programs += [(path, cells_of(path)) for path in NOTEBOOKS]
+    call(raygrid, "up", "--array", "2x1x1", "--name", "film", env=surroundings, cwd=tmp_path)
+    try:
+        for number, (page, program) in enumerate(programs):
+            folder = as_a_reader(page, tmp_path / str(number)) if page.suffix == ".md" else tmp_path
+            call(python, "-c", program, env=surroundings, cwd=folder)
+    finally:
+        call(raygrid, "down", "--cancel", "--name", "film", env=surroundings, cwd=tmp_path)
+    assert len(programs) > 15
+
+
+def cells_of(notebook: Path) -> str:
+    """The code of a notebook as one program."""
+    cells = json.loads(notebook.read_text())["cells"]
+    return "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
