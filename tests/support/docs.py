@@ -14,7 +14,10 @@ ROOT = paths.ROOT
 RUN = "<!-- run -->"  # before a block of code: its lines are run, small
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 FILE = re.compile(r"^<!-- file: (\S+) -->\n```\w*\n(.*?)^```", re.M | re.S)  # what the reader is to put into a file
-SNIPPET = re.compile(r"^```python\n(.*?)^```", re.M | re.S)
+SNIPPET = re.compile(
+    r"^```python\n(.*?)^```(?:\n\n<!-- output -->\n```\n(.*?)^```)?", re.M | re.S
+)  # and what it prints
+OUTPUT = re.compile(r"^<!-- output of: (raygrid [^\n]*) -->\n```\n(.*?)^```", re.M | re.S)
 SMALL = {"640, 480": "64, 48", "800, 600": "64, 48", "frames=(1, 48)": "frames=(1, 2)", '"2x2x2"': '"2x1x1"'}
 COMMENT = re.compile(r"\s+#\s.*$|\s{3,}\S.*$")  # what a line says of itself, behind it
 
@@ -54,12 +57,17 @@ def files_of(page: Path) -> dict[str, str]:
     return dict(found for one in pages for found in FILE.findall(one.read_text()))
 
 
-def snippets(page: Path) -> list[str]:
-    """The Python blocks of a page, with few pixels, frames and processors."""
+def snippets(page: Path) -> list[tuple[str, str]]:
+    """The Python blocks of a page, with few pixels, frames and processors, and what each prints, if the page shows it."""
     found = SNIPPET.findall(page.read_text())
     for large, little in SMALL.items():
-        found = [snippet.replace(large, little) for snippet in found]
+        found = [(snippet.replace(large, little), shown) for snippet, shown in found]
     return found
+
+
+def shown_outputs() -> list[tuple[Path, list[str], str]]:
+    """Page, words and output of the commands whose output a page shows."""
+    return [(page, shlex.split(line)[1:], shown) for page in PAGES for line, shown in OUTPUT.findall(page.read_text())]
 
 
 def is_tutorial(page: Path) -> bool:

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 import pytest
 from support.cli import as_process, here, warm_kernels
-from support.docs import PAGES, ROOT, Line, documented, files_of, lines_of, marked, of_help, small
+from support.docs import PAGES, ROOT, Line, documented, files_of, lines_of, marked, of_help, shown_outputs, small
 
 from raygrid.host.cli.main import cli
 from raygrid.host.scene.load import READERS
@@ -54,6 +54,7 @@ def test_the_lines_are_found():
     """So that no test above passes for want of lines."""
     assert len(documented()) > 50
     assert len(of_help()) > 30
+    assert len(shown_outputs()) >= 2
     assert sum(len(lines) for lists in MARKED.values() for lines in lists) > 50
     page = "<!-- run -->\n```\nraygrid info x.nff      what is in it\n```\n\n    raygrid up && raygrid down  # both\n"
     assert [(line.words, line.runs) for line in lines_of(page, "x")] == [
@@ -91,6 +92,19 @@ def test_no_summary_of_a_command_is_cut():
     listed = cli.get_help(context).split("Commands:\n")[1].split("\n\n")[0].splitlines()
     assert [line.split()[0] for line in listed] == sorted(cli.commands)
     assert not [line for line in listed if not line.endswith(".") or line.endswith("...")]
+
+
+@pytest.mark.usefixtures("warm_kernels")
+@pytest.mark.parametrize(
+    ("page", "words", "shown"), shown_outputs(), ids=lambda part: "" if isinstance(part, str) else None
+)
+def test_a_page_shows_what_is_printed(page, words, shown, tmp_path, monkeypatch):
+    """Each line of the block, in its order, with nothing made smaller; what is left out is wall time."""
+    monkeypatch.chdir(tmp_path)
+    for name, text in files_of(page).items():
+        Path(name).write_text(text)
+    printed = iter(here(*words).out.splitlines())
+    assert not [line for line in shown.splitlines() if line not in printed]
 
 
 @pytest.mark.timeout(900)  # kernels and a program are compiled, each a minute on a quiet computer

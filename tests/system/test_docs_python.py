@@ -12,9 +12,9 @@ from support.service import lasting
 __all__ = ["warm_kernels"]
 
 SNIPPETS = [
-    pytest.param(snippet, page, id=f"{page.stem}-{number}")
+    pytest.param(snippet, shown, page, id=f"{page.stem}-{number}")
     for page in PAGES
-    for number, snippet in enumerate(snippets(page), 1)
+    for number, (snippet, shown) in enumerate(snippets(page), 1)
 ]
 
 
@@ -24,8 +24,8 @@ def film(warm_kernels, tmp_path_factory):
         yield name
 
 
-@pytest.mark.parametrize(("snippet", "page"), SNIPPETS)
-def test_a_snippet_runs(snippet, page, film, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("snippet", "shown", "page"), SNIPPETS)
+def test_a_snippet_runs(snippet, shown, page, film, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("scenes").symlink_to(ROOT / "scenes")
     Path("out").mkdir()
@@ -34,7 +34,9 @@ def test_a_snippet_runs(snippet, page, film, tmp_path, monkeypatch):
     monkeypatch.setattr(logging, "basicConfig", lambda **_: None)  # it would stay for other tests
     with warnings.catch_warnings():
         exec(compile(snippet, "<snippet>", "exec", dont_inherit=True), {"__name__": "snippet"})
+    assert shown in ("", capsys.readouterr().out)
 
 
 def test_the_snippets_are_found():
     assert len(SNIPPETS) > 5
+    assert any(snippet.values[1] for snippet in SNIPPETS)

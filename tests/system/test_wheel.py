@@ -206,7 +206,7 @@ def test_snippets_and_notebooks_run_from_there(complete, surroundings, tmp_path)
     """Every Python block, and the cells of every notebook, one after the other, as a program."""
     python, raygrid = str(complete / "python"), str(complete / "raygrid")
     call(python, "-c", WARM, env=surroundings, cwd=tmp_path)
-    programs = [(page, snippet) for page in PAGES for snippet in snippets(page)]
+    programs = [(page, snippet) for page in PAGES for snippet, _ in snippets(page)]
     programs += [(path, cells_of(path)) for path in NOTEBOOKS]
     call(raygrid, "up", "--array", "2x1x1", "--name", "film", env=surroundings, cwd=tmp_path)
     try:
