@@ -104,7 +104,7 @@ picture: $(STAMP) ## draw docs/architecture.svg, the packages and what they impo
 docs: $(VENV)/.dev ## build the site, documents and reference, in build/site; a warning is an error
 	$(BIN)/python docs/site/make_site.py
 
-gallery: $(STAMP) ## render the pictures of docs/gallery.md, and write that page
+gallery: $(STAMP) ## render the pictures of docs/gallery.md, and write that page; minutes, as programs are compiled
 	$(BIN)/python docs/make_gallery.py
 
 bench: $(STAMP) ## measure speed and write docs/performance.md

@@ -99,6 +99,12 @@ def marked(page: Path) -> list[list[Line]]:
     return [lines] if lines and is_tutorial(page) else sittings(lines)
 
 
+def names_up(lines: list[Line]) -> list[str]:
+    """Names of the arrays that these lines launch to stay."""
+    ups = [line.words for line in lines if line.words[0] == "up"]
+    return [words[words.index("--name") + 1] if "--name" in words else "default" for words in ups]
+
+
 def of_help() -> list[Line]:
     """All examples of --help."""
     texts = {"raygrid": cli.epilog or ""} | {name: command.epilog or "" for name, command in cli.commands.items()}

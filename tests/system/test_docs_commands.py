@@ -9,7 +9,19 @@ from pathlib import Path
 import click
 import pytest
 from support.cli import as_process, here, warm_kernels
-from support.docs import PAGES, ROOT, Line, documented, files_of, lines_of, marked, of_help, shown_outputs, small
+from support.docs import (
+    PAGES,
+    ROOT,
+    Line,
+    documented,
+    files_of,
+    lines_of,
+    marked,
+    names_up,
+    of_help,
+    shown_outputs,
+    small,
+)
 
 from raygrid.host.cli.main import cli
 from raygrid.host.scene.load import READERS
@@ -125,6 +137,5 @@ def test_marked_lines_run(lines, page, tmp_path, monkeypatch):
             outcome = here(*small(line.words))
             assert outcome.code == 0, f"{line.where}: raygrid {' '.join(small(line.words))}: {outcome.err}"
     finally:
-        for up in (line for line in lines if line.words[0] == "up"):
-            array = up.words[up.words.index("--name") + 1] if "--name" in up.words else "default"
-            as_process("down", "--cancel", "--name", array)
+        for name in names_up(lines):
+            as_process("down", "--cancel", "--name", name)

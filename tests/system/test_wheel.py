@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from support.docs import PAGES, files_of, marked, small, snippets
+from support.docs import PAGES, files_of, marked, names_up, small, snippets
 from support.modules import read_modules
 from support.paths import ROOT, SCENES
 
@@ -187,15 +187,20 @@ def as_a_reader(page: Path, folder: Path) -> Path:
 @pytest.mark.usefixtures("no_leftovers")
 def test_marked_lines_run_from_there(complete, surroundings, tmp_path):
     """Every line of README, docs and tutorials that is marked, as a reader would type it who has only the wheel and the scenes."""
+    raygrid = str(complete / "raygrid")
     call(str(complete / "python"), "-c", WARM, env=surroundings, cwd=tmp_path)
     ran = 0
     for page in PAGES:
         for number, lines in enumerate(marked(page)):
             folder = as_a_reader(page, tmp_path / f"{page.stem}-{number}")
-            for line in lines:
-                if not any(word.endswith(".mp4") for word in line.words) or shutil.which("ffmpeg") is not None:
-                    call(str(complete / "raygrid"), *small(line.words), env=surroundings, cwd=folder)
-                    ran += 1
+            try:
+                for line in lines:
+                    if not any(word.endswith(".mp4") for word in line.words) or shutil.which("ffmpeg") is not None:
+                        call(raygrid, *small(line.words), env=surroundings, cwd=folder)
+                        ran += 1
+            finally:
+                for name in names_up(lines):
+                    subprocess.run([raygrid, "down", "--cancel", "--name", name], env=surroundings, timeout=LONG)
     assert ran > 70
 
 
