@@ -87,7 +87,7 @@ def more(folder: Path = SHARED_PICTURES) -> tuple[str, list[Path]]:
 
 def _shown(shot: Shot, folder: str, run: bool) -> str:
     mark = "<!-- run -->\n" if run else ""
-    return f"![{shot.title}]({folder}/{shot.file})\n\n{shot.title}:\n\n{mark}```\n{shot.command}\n```\n"
+    return f"**{shot.title}**\n\n![{shot.title}]({folder}/{shot.file})\n\n{mark}```\n{shot.command}\n```\n"
 
 
 def render(shot: Shot, scenes: Path, folder: Path) -> None:
