@@ -187,7 +187,6 @@ TESTED_ELSEWHERE: dict[str, dict[str, str]] = {
         "host.cli.commands.simulate": "emulator/simulator/test_simulator.py",
         "host.cli.commands.submit": "host/service/test_service_films.py",
         "host.cli.commands.trace": "emulator/analysis/test_provenance.py",
-        "host.cli.commands.up": "host/service/test_service_keeps.py",
         "host.cli.probe_table": "host/cli/test_probe_view.py",
         "host.cli.profile_table": "node/runtime/test_profile.py",
         "host.cli.progress": "host/cli/commands/test_frames.py",
