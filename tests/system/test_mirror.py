@@ -183,7 +183,6 @@ TESTED_ELSEWHERE: dict[str, dict[str, str]] = {
         "host.cli.commands.predict": "host/machine_time/test_predict.py",
         "host.cli.commands.probe": "host/cli/test_probe_view.py",
         "host.cli.commands.render_request": "host/cli/test_bad_input.py",
-        "host.cli.commands.render": "host/cli/test_bad_input.py",
         "host.cli.commands.simulate": "emulator/simulator/test_simulator.py",
         "host.cli.commands.submit": "host/service/test_service_films.py",
         "host.cli.commands.trace": "emulator/analysis/test_provenance.py",
