@@ -36,7 +36,19 @@ from raygrid.node.errors import TooLarge
 
 SMALL = (2, 2, 2)  # the array that `render` launches unless told otherwise
 NEEDED = (  # distributions that raygrid does not run without, by their usual names
-    *("numpy", "numba", "llvmlite", "pyzmq", "msgpack", "xxhash", "Pillow", "trimesh", "plyfile", "click"),
+    *(
+        "numpy",
+        "numba",
+        "llvmlite",
+        "pyzmq",
+        "msgpack",
+        "xxhash",
+        "Pillow",
+        "trimesh",
+        "plyfile",
+        "mapbox-earcut",
+        "click",
+    ),
     *("rich", "pydantic"),
 )
 IMPORTED = {"numpy": "numpy", "numba": "numba", "zmq": "pyzmq", "msgpack": "msgpack", "xxhash": "xxhash"}  # by nodes

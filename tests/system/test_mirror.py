@@ -137,7 +137,6 @@ TESTED_ELSEWHERE: dict[str, dict[str, str]] = {
         "host.scene.animation.scene_frames": "host/scene/animation/test_animation.py",
         "host.scene.animation.turntable": "host/scene/animation/test_animation.py",
         "host.scene.builder": "host/scene/test_scene.py",
-        "host.scene.ear_clipping": "host/scene/test_polygons.py",
         "host.scene.finish": "host/scene/test_scene.py",
         "host.scene.formats.gltf_document": "host/scene/formats/test_gltf.py",
         "host.scene.formats.gltf_materials": "host/scene/formats/test_gltf.py",
