@@ -20,7 +20,7 @@ def surface_runs(scene: Scene, seen: NDArray[np.integer]) -> dict[str, list[dict
 
     surfaces   runs of numbers from "first" to "last" that have one "kind", "material" and "group" (None for none); those of
                which at least one number is seen
-    materials  "number" and linear colours of those that these surfaces have
+    materials  "number", "name" in the file ("" for none) and linear colours of those that these surfaces have
     """
     ids, kinds, materials = _columns(scene)
     groups = np.full(len(ids), -1, np.int64) if scene.shot is None else scene.shot.groups.of(ids)
@@ -39,7 +39,11 @@ def surface_runs(scene: Scene, seen: NDArray[np.integer]) -> dict[str, list[dict
         for run in shown.tolist()
     ]
     rows = sorted({run["material"] for run in runs})
-    looks = [{"number": row} | {name: scene.materials[row][name].tolist() for name in LOOKS} for row in rows]
+    names = scene.material_names or ("",) * len(scene.materials)
+    looks = [
+        {"number": row, "name": names[row]} | {look: scene.materials[row][look].tolist() for look in LOOKS}
+        for row in rows
+    ]
     return {"surfaces": runs, "materials": looks}
 
 

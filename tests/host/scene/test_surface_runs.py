@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
+import tomllib
+
 import numpy as np
 from support.render import SCENES
 
@@ -41,3 +44,32 @@ def test_groups_are_told_by_name():
     scene = load_scene(SCENES / "mobile.toml")
     found = {run["group"] for run in surface_runs(scene, every(scene))["surfaces"]}
     assert found - {None} == {scene.shot.names[number] for number in set(scene.shot.groups.numbers.tolist())}
+
+
+def names_in(path):
+    scene = load_scene(path)
+    return [row["name"] for row in surface_runs(scene, every(scene))["materials"]]
+
+
+def test_materials_have_the_names_of_their_files(tmp_path):
+    assert names_in(SCENES / "kinds.nff") == [""] * len(load_scene(SCENES / "kinds.nff").materials)
+    assert all(names_in(SCENES / "room.glb"))
+    assert names_in(SCENES / "room.obj") == [name for name in names_in(SCENES / "room.obj") if name]
+    assert set(names_in(SCENES / "mobile.toml")) <= set(
+        tomllib.loads((SCENES / "mobile.toml").read_text())["materials"]
+    )
+
+
+def test_equal_materials_are_one_of_all_their_names(tmp_path):
+    ball = '[[surfaces]]\nkind = "sphere"\ncentre = [{}, 0, 0]\nradius = 1\nmaterial = "{}"\n'
+    text = "".join(
+        f"[materials.{name}]\ncolour = [{red}, 0, 0]\n" for name, red in (("a", 1), ("b", 0.5), ("c", 1), ("d", 1))
+    )
+    (tmp_path / "x.toml").write_text(text + "".join(ball.format(3 * k, name) for k, name in enumerate("cba")))
+    assert names_in(tmp_path / "x.toml") == ["a, c", "b"]
+
+
+def test_a_scene_that_takes_another_keeps_its_names(tmp_path):
+    shutil.copy(SCENES / "room.glb", tmp_path)
+    (tmp_path / "x.toml").write_text('[[meshes]]\nfile = "room.glb"\n')
+    assert names_in(tmp_path / "x.toml") == names_in(SCENES / "room.glb")
