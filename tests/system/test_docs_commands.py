@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 from pathlib import Path
 
 import click
@@ -24,6 +23,7 @@ from support.docs import (
 )
 
 from raygrid.host.cli.main import cli
+from raygrid.host.image.ffmpeg import find_ffmpeg
 from raygrid.host.scene.load import READERS
 
 __all__ = ["warm_kernels"]
@@ -132,7 +132,7 @@ def test_marked_lines_run(lines, page, tmp_path, monkeypatch):
         Path(name).write_text(text)
     try:
         for line in lines:
-            if any(word.endswith(".mp4") for word in line.words) and shutil.which("ffmpeg") is None:
+            if any(word.endswith(".mp4") for word in line.words) and find_ffmpeg() is None:
                 continue
             outcome = here(*small(line.words))
             assert outcome.code == 0, f"{line.where}: raygrid {' '.join(small(line.words))}: {outcome.err}"
