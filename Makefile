@@ -8,7 +8,7 @@ PIP    := PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet
 
 .DEFAULT_GOAL := help
 .PHONY: help render test test-long test-switches style types check check-oldest check-newest check-bounds check-interpreted \
-        check-versions wheel-check picture bench faults fuzz fuzz-scenes clean
+        check-versions wheel-check picture docs gallery bench faults fuzz fuzz-scenes clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 19
@@ -20,7 +20,7 @@ $(STAMP): pyproject.toml
 	@touch $@
 
 $(VENV)/.dev: $(STAMP)
-	$(PIP) --editable '.[test,dev]'
+	$(PIP) --editable '.[test,dev,docs]'
 	@touch $@
 
 render: $(STAMP) ## render a room with a mirror ball and a glass ball on a 2x2x2 array
@@ -100,6 +100,12 @@ wheel-check: $(STAMP) ## build the wheel, install it into an empty environment, 
 
 picture: $(STAMP) ## draw docs/architecture.svg, the packages and what they import
 	$(BIN)/python docs/make_picture.py
+
+docs: $(VENV)/.dev ## build the site, documents and reference, in build/site; a warning is an error
+	$(BIN)/python docs/site/make_site.py
+
+gallery: $(STAMP) ## render the pictures of docs/gallery.md, and write that page; minutes, as programs are compiled
+	$(BIN)/python docs/make_gallery.py
 
 bench: $(STAMP) ## measure speed and write docs/performance.md
 	$(BIN)/python benchmarks/bench.py --write docs/performance.md

@@ -32,6 +32,7 @@ PID_FILE = "pid"
 LONGEST_PATH = 107  # bytes; sun_path holds 108 with its closing zero
 LAST_EPOCH = 0xFFFF  # the epoch of a message header is a u16
 TOUCH_SECONDS = 3600.0  # cleaners remove what is days old
+REMOVALS = 5  # a node that is just ending may make a socket in what is being removed
 UNSIGNED_AGE = 60.0  # seconds; a directory without a pid file may be one that is just being made
 
 
@@ -148,7 +149,10 @@ def why_not_usable(shape: Index) -> dict[str, str | None]:
 def remove(directory: str) -> None:
     """Remove a socket directory. Refuses quietly what is not a raygrid directory of ours, and never raises OSError."""
     if NAME.fullmatch(os.path.basename(directory)) and _is_our_directory(directory):
-        shutil.rmtree(directory, ignore_errors=True)
+        for _ in range(REMOVALS):
+            shutil.rmtree(directory, ignore_errors=True)
+            if not os.path.lexists(directory):
+                return
 
 
 def sweep(base: str) -> list[str]:

@@ -13,7 +13,6 @@ import operator
 import os
 import platform
 import re
-import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -31,12 +30,25 @@ from raygrid.emulator.topology import (
     read_resources,
     why_not_usable,
 )
+from raygrid.host.image.ffmpeg import find_ffmpeg
 from raygrid.host.text.clean_text import printable
 from raygrid.node.errors import TooLarge
 
 SMALL = (2, 2, 2)  # the array that `render` launches unless told otherwise
 NEEDED = (  # distributions that raygrid does not run without, by their usual names
-    *("numpy", "numba", "llvmlite", "pyzmq", "msgpack", "xxhash", "Pillow", "trimesh", "plyfile", "click"),
+    *(
+        "numpy",
+        "numba",
+        "llvmlite",
+        "pyzmq",
+        "msgpack",
+        "xxhash",
+        "Pillow",
+        "trimesh",
+        "plyfile",
+        "mapbox-earcut",
+        "click",
+    ),
     *("rich", "pydantic"),
 )
 IMPORTED = {"numpy": "numpy", "numba": "numba", "zmq": "pyzmq", "msgpack": "msgpack", "xxhash": "xxhash"}  # by nodes
@@ -45,6 +57,7 @@ EXTRAS = {
     "law": ("matplotlib", "scipy"),
     "prometheus": ("prometheus_client",),
     "exr": ("openexr",),
+    "mp4": ("imageio-ffmpeg",),
 }
 # package of a kernel -> the kind of kernels to which it belongs, where that is not the first
 KIND_OF_PACKAGE = {"timed": KINDS[1], "simulator": SIMULATOR, "analysis": ANALYSIS}
@@ -330,4 +343,4 @@ def read_places() -> LocationFacts:
     temporary = None
     with contextlib.suppress(FileNotFoundError):  # Python has tried, and found no directory that can be written
         temporary = tempfile.gettempdir()
-    return {"sockets": why_not_usable(SMALL), "temporary": temporary, "ffmpeg": shutil.which("ffmpeg")}
+    return {"sockets": why_not_usable(SMALL), "temporary": temporary, "ffmpeg": find_ffmpeg()}

@@ -23,6 +23,7 @@ from raygrid.host.cli.types import (
     FaultType,
     FileName,
     FramesType,
+    LayersType,
     NumberType,
     PairType,
     SceneName,
@@ -68,6 +69,7 @@ Examples:
   raygrid render scenes/glass.toml --turntable 72 -o out/round.webp
   raygrid render scenes/rings.toml --allow-programs \\
       --program scenes/programs/torus.py -o rings.png
+  raygrid render scenes/glass.toml --layers depth,normal -o g.png -o g.npy
 
 .npy holds the exact sums as int64, height x width x 3: linear radiance x 2^24, added over the samples of a pixel.
 docs/stats.md says what the statistics mean, docs/probes.md what probes tell, docs/animation.md how scenes move.
@@ -121,6 +123,9 @@ def cli() -> None:
 @click.option("-o", "--output", "outputs", multiple=True, type=FileName(), metavar="FILE",
               help="Picture (.png .jpg .webp .tif .bmp .ppm .tga .jp2), linear radiance (.pfm .hdr .exr), or .npy of the exact "
                    "sums; - is standard output, a PNG; may be repeated.  [default: the scene's name with .png, here]")
+@click.option("--layers", type=LayersType(), default=(), metavar="NAME,...",
+              help="Besides, of the first surface behind the middle of each pixel: depth, normal, surface (its number), material. "
+                   "An .exr holds them; beside others they are NAME.LAYER.SUFFIX (docs/layers.md).")
 @click.option("--frames", type=FramesType(), metavar="A-B",
               help="Render these frames of a shot; FILE then has a number such as %04d in its name, or is .gif .webp .mp4.")
 @click.option("--turntable", type=NumberType(1, MAX_FRAMES), metavar="N", help="The camera goes once round the scene in N frames.")
@@ -167,7 +172,7 @@ def render(scene: str, shape: tuple[int, int, int], outputs: tuple[str, ...], **
     from raygrid.host.render.given_settings import GivenSettings
 
     of_machine = ("batch", "budget", "transfer", "stats", "patience", "attempts", "fault", "quiet", "profile")
-    names = (*of_machine, "probe_record", "chrome_trace", "probe_rate", "frames", "program", "allow_programs", "resume")
+    names = (*of_machine, "probe_record", "chrome_trace", "probe_rate", "frames", "program", "allow_programs", "resume", "layers")
     machine = {name: options.pop(name) for name in names}
     timed, cost, search = (options.pop(name) for name in ("timed", "cost", "search"))
     if not timed and (cost or search):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.shell_completion import CompletionItem
 
+from raygrid.host.image.layer_names import LAYERS, checked_layers
 from raygrid.host.text.bounds import MAX_PIXELS, MAX_SIDE
 
 if TYPE_CHECKING:
@@ -126,6 +127,31 @@ class FramesType(AnyType):
             return parse_frames(str(value))
         except ValueError as error:
             self.fail(f"{shorten(value)} came, {error}", param, ctx)
+
+
+class LayersType(AnyType):
+    """Layers of a picture, `depth,normal`."""
+
+    name = "layers"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
+        """Raises a usage error for names that are none."""
+        if isinstance(value, tuple):
+            return value
+        words = [word.strip() for word in str(value).split(",")]
+        for word in words:
+            if word not in LAYERS:
+                self.fail(f"{shorten(word)} came, wanted some of: {','.join(LAYERS)}", param, ctx)
+        return checked_layers(words)
+
+    def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        """Each layer that is not named yet, after those that are."""
+        *before, last = incomplete.split(",")
+        return [
+            CompletionItem(",".join([*before, layer]))
+            for layer in LAYERS
+            if layer not in before and layer.startswith(last)
+        ]
 
 
 class FaultType(AnyType):

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
+from raygrid.host.image.layer_names import LayerFile, check_outputs_of_layers, layer_files
 from raygrid.host.text.misuse import OutputMisuse, SceneMisuse
 from raygrid.node.errors import SceneError
 
@@ -126,28 +127,42 @@ class FrameNames(NamedTuple):
     single  patterns of files that each frame has for its own
     played  files that hold all frames
     stats   pattern of the statistics that each frame has, or None
+    layers  that each frame has, in the files of `single` or beside them
     """
 
     single: tuple[str, ...]
     played: tuple[str, ...]
     stats: str | None
+    layers: tuple[str, ...] = ()
 
     @classmethod
-    def split(cls, outputs: Sequence[str], stats: str | None, shot: bool) -> FrameNames:
+    def split(cls, outputs: Sequence[str], stats: str | None, shot: bool, layers: tuple[str, ...] = ()) -> FrameNames:
         """The patterns told apart; `shot`: whether frames of a shot are asked for. Raises OutputError."""
         played = [pattern for pattern in outputs if is_played(pattern, shot)]
         single = tuple(pattern for pattern in outputs if pattern not in played)
-        return cls(single, tuple(path_of(pattern, None) for pattern in played), stats)
+        check_outputs_of_layers(single, played, layers)
+        return cls(single, tuple(path_of(pattern, None) for pattern in played), stats, layers)
 
     @classmethod
-    def checked(cls, outputs: Sequence[str], stats: str | None, frames: Ends | None, shot: bool) -> FrameNames:
+    def checked(
+        cls,
+        outputs: Sequence[str],
+        stats: str | None,
+        frames: Ends | None,
+        shot: bool,
+        layers: tuple[str, ...] = (),
+    ) -> FrameNames:
         """Split what was asked for, as `split` does. Raises OutputError as `check_patterns` does."""
         check_patterns(outputs, stats, frames, shot)
-        return cls.split(outputs, stats, shot)
+        return cls.split(outputs, stats, shot, layers)
 
     def of(self, frame: int | None) -> list[str]:
         """The pictures that a frame has for its own."""
         return [path_of(pattern, frame) for pattern in self.single]
+
+    def layers_of(self, frame: int | None) -> list[LayerFile]:
+        """The files that a frame's layers have for their own."""
+        return layer_files(self.of(frame), self.layers)
 
     def stats_of(self, frame: int | None) -> str | None:
         """Where the statistics of a frame go."""
@@ -158,6 +173,7 @@ class FrameNames(NamedTuple):
         yield from self.played
         for frame in frames:
             yield from self.of(frame)
+            yield from (file.path for file in self.layers_of(frame))
             if self.stats is not None:
                 yield path_of(self.stats, frame)
 

@@ -1,4 +1,4 @@
-"""Writes files that play: GIF and WebP by Pillow, MP4 where ffmpeg is installed.
+"""Writes files that play: GIF and WebP by Pillow, MP4 by ffmpeg (`host.image.ffmpeg`).
 
 The frames of a file wait as PNGs in a directory, so that a long animation does not fill the memory; the file itself appears
 whole or not at all.
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from raygrid.host.files.input_guard import check_kept
 from raygrid.host.files.part_files import PartFolder, replacing
+from raygrid.host.image.ffmpeg import need_ffmpeg
 from raygrid.host.image.outputs import check_named, suffix_of, write_whole
 from raygrid.node.errors import OutputError
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 GIF_TICK = 10  # milliseconds; a GIF counts in these, and players take fewer than two of them for ten
 FFMPEG_SECONDS = 60.0  # for it to end, once it has all frames; and a second more for each of them
 LOOK_SECONDS = 0.1
-FFMPEG = ["ffmpeg", "-nostdin", "-loglevel", "error"]
+QUIETLY = ["-nostdin", "-loglevel", "error"]
 
 
 def check_played(path: str) -> None:
@@ -36,8 +37,8 @@ def check_played(path: str) -> None:
     target = os.path.realpath(path)
     if os.path.exists(target) and not os.path.isfile(target):
         raise OutputError(f"{path}: the output is a device, wanted a file for pictures that play")
-    if suffix_of(path) == ".mp4" and shutil.which("ffmpeg") is None:
-        raise OutputError(f"{path}: there is no ffmpeg on this computer, wanted it for .mp4, or .gif or .webp instead")
+    if suffix_of(path) == ".mp4":
+        need_ffmpeg(path)
 
 
 def padding(path: str, width: int, height: int) -> str | None:
@@ -111,7 +112,7 @@ class Reel:
         check_kept(path)
         target = os.path.realpath(path)
         limit = FFMPEG_SECONDS + len(numbers)
-        command = [*FFMPEG, "-y", "-framerate", f"{fps:.10g}", "-start_number", str(numbers[0]), "-i", "%09d.png"]
+        command = [*QUIETLY, "-y", "-framerate", f"{fps:.10g}", "-start_number", str(numbers[0]), "-i", "%09d.png"]
         command += ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-c:v", "libx264", "-crf", "18", "-pix_fmt", "yuv420p"]
         command += ["-frames:v", str(len(numbers))]
         try:
@@ -123,10 +124,12 @@ class Reel:
             raise OutputError(f"{path}: the film cannot be written by ffmpeg ({error.strerror or error})") from None
 
     def _run(self, command: list[str], path: str, limit: float) -> bytes:
-        """Run ffmpeg; what it wrote to standard output. Raises OutputError, in its words, if anything went wrong."""
+        """Run ffmpeg with these arguments; what it wrote to standard output. Raises OutputError in its words if it failed."""
         pipe, none = subprocess.PIPE, subprocess.DEVNULL
         ending = time.monotonic() + limit
-        with subprocess.Popen(command, cwd=self.folder, stdin=none, stdout=pipe, stderr=pipe) as process:
+        with subprocess.Popen(
+            [need_ffmpeg(path), *command], cwd=self.folder, stdin=none, stdout=pipe, stderr=pipe
+        ) as process:
             try:
                 while True:
                     with contextlib.suppress(subprocess.TimeoutExpired):
@@ -145,7 +148,7 @@ class Reel:
 
     def _look_through(self, part: str, path: str, frames: int, limit: float) -> None:
         """Raise OutputError unless a film has so many frames and each can be decoded."""
-        command = [*FFMPEG, "-xerror", "-i", part, "-map", "0:v", "-c", "copy", "-f", "framecrc", "pipe:1"]
+        command = [*QUIETLY, "-xerror", "-i", part, "-map", "0:v", "-c", "copy", "-f", "framecrc", "pipe:1"]
         told = self._run([*command, "-map", "0:v", "-f", "null", "-"], path, limit)
         found = sum(not line.startswith(b"#") for line in told.splitlines())
         if found != frames:

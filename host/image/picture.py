@@ -6,31 +6,33 @@ import builtins
 import contextlib
 import functools
 import io
+import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from raygrid.host.image.layer_names import check_outputs_of_layers, layer_files
+from raygrid.host.image.npy import write_npy
 from raygrid.host.image.outputs import (
     FORMATS,
     RADIANCE,
     SUMS,
     check_format,
+    check_path,
     check_picture_path,
     check_side,
     suffix_of,
     write_whole,
 )
+from raygrid.host.image.png_texts import png_texts
 from raygrid.host.image.transfer import TRANSFERS, to_bytes
 from raygrid.node.errors import OutputError
 from raygrid.node.tracing import UNIT
-
-if TYPE_CHECKING:
-    from PIL.PngImagePlugin import PngInfo
 
 MOST_AHEAD = 1 << 22  # pixels of a picture that is encoded in memory
 
@@ -42,11 +44,17 @@ class Picture:
     sums     int64 (height, width, 3): sum over a pixel's samples of round(linear radiance * 2^24), row 0 on top
     samples  samples a pixel
     stats    what the machine did (docs/stats.md), or an empty map
+    layers   those that were asked for, by name, of the first surface that the ray through a pixel's middle meets:
+             depth     float32 (height, width), distance from the eye along the ray, in units of the scene; inf for none
+             normal    float32 (height, width, 3), the unit normal that is shaded with, towards the eye; 0 for none
+             surface   int32 (height, width), its number in the scene, -1 for none
+             material  int32 (height, width), the number of its material, -1 for none
     """
 
     sums: NDArray[np.int64]
     samples: int
     stats: dict[str, Any]
+    layers: dict[str, NDArray[Any]] = field(default_factory=dict)
 
     def linear(self) -> NDArray[np.float64]:
         """Return linear radiance, float64 (height, width, 3): sums / (2^24 samples)."""
@@ -71,13 +79,30 @@ class Picture:
 
     def save(self, path: str | Path, transfer: str = "srgb", texts: Mapping[str, str] | None = None) -> None:
         """Write a .npy of the sums, linear radiance (.pfm .hdr .exr), or a picture (.png .jpg .webp .tif .bmp .ppm .tga .jp2).
-        It appears whole or not at all; - is standard output, a PNG.
+        It appears whole or not at all; - is standard output, a PNG. An .exr has the picture's layers, too.
 
         texts  kept beside the picture in a .png, keyword -> Latin-1 text
         Raises OutputError.
         """
         check_picture_path(path)
         write_whole(path, self._writer(path, transfer, texts))
+
+    def save_layers(self, path: str | Path) -> list[str]:
+        """Write the layers beside a picture of this name, as `raygrid render --layers` does (docs/layers.md).
+
+        Returns the names of the files, NAME.LAYER.SUFFIX; none for an .exr, which `save` writes with its layers.
+        Raises OutputError.
+        """
+        from raygrid.host.image.layer_pictures import save_layer
+
+        check_outputs_of_layers([os.fspath(path)], [], tuple(self.layers))
+        check_picture_path(path)
+        files = layer_files([os.fspath(path)], tuple(self.layers))
+        for file, _ in files:
+            check_path(file)
+        for file, layer in files:
+            save_layer(file, layer, self.layers[layer])
+        return [file for file, _ in files]
 
     def encoded(self, path: str | Path, transfer: str = "srgb") -> memoryview:
         """Encode the picture as `save` writes it under this name, whatever may be there. Raises OutputError."""
@@ -99,7 +124,9 @@ class Picture:
     def __repr__(self) -> str:
         height, width, _ = self.sums.shape
         of = f" of {self.stats['scene']}" if "scene" in self.stats else ""
-        return f"<raygrid.Picture{of}, {width}x{height}, {self.samples} {'sample' if self.samples == 1 else 'samples'} a pixel>"
+        samples = f"{self.samples} {'sample' if self.samples == 1 else 'samples'} a pixel"
+        layers = f", layers {' '.join(self.layers)}" if self.layers else ""
+        return f"<raygrid.Picture{of}, {width}x{height}, {samples}{layers}>"
 
     def _repr_png_(self) -> builtins.bytes:
         """The PNG that `save` writes: a notebook shows the picture."""
@@ -109,24 +136,22 @@ class Picture:
         """What writes the format that the name chooses."""
         suffix = suffix_of(path)
         if suffix == SUMS:
-            return self._write_sums
+            return functools.partial(write_npy, self.sums)
         if suffix in RADIANCE:
-            from raygrid.host.image.radiance import WRITERS
+            from raygrid.host.image.radiance import WRITERS, write_exr
 
+            if suffix == ".exr" and self.layers:
+                from raygrid.host.image.layer_pictures import channels_of
+
+                return functools.partial(write_exr, self.linear(), channels=channels_of(self.layers))
             return functools.partial(WRITERS[suffix], self.linear())
         from PIL import Image
 
         check_side(path, self.sums.shape[1], self.sums.shape[0])
         kind = FORMATS[suffix]
         image = Image.fromarray(self.bytes(transfer))
-        options = kind.options | ({"pnginfo": _png_texts(texts)} if texts and kind.name == "PNG" else {})
+        options = kind.options | ({"pnginfo": png_texts(texts)} if texts and kind.name == "PNG" else {})
         return lambda file: image.save(file, kind.name, **options)
-
-    def _write_sums(self, file: BinaryIO) -> None:
-        """What np.save writes, but in its own words an error of the disk would say nothing of it."""
-        sums = np.ascontiguousarray(self.sums)
-        np.lib.format.write_array_header_1_0(file, np.lib.format.header_data_from_array_1_0(sums))
-        file.write(sums.data)
 
 
 class Encoder:
@@ -164,12 +189,3 @@ def prepare(paths: Sequence[str | Path]) -> None:
         from PIL import Image
 
         Image.preinit()
-
-
-def _png_texts(texts: Mapping[str, str]) -> PngInfo:
-    from PIL.PngImagePlugin import PngInfo
-
-    info = PngInfo()
-    for keyword, text in texts.items():
-        info.add_text(keyword, text)
-    return info

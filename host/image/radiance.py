@@ -8,21 +8,22 @@ from __future__ import annotations
 
 import os
 import shutil
-from typing import BinaryIO
+from collections.abc import Callable, Mapping
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-Radiance = NDArray[np.float64]
+Radiance = NDArray[np.floating]
 
 SCANLINES = range(8, 32_768)  # widths of HDR files whose rows are packed
 LONGEST_RUN = 127
 
 
 def write_pfm(radiance: Radiance, file: BinaryIO) -> None:
-    """Write a colour PFM, (height, width, 3): little-endian binary32, the lowest row first."""
+    """Write a PFM, of colours (height, width, 3) or grey (height, width): little-endian binary32, the lowest row first."""
     height, width = radiance.shape[:2]
-    file.write(f"PF\n{width} {height}\n-1.0\n".encode())
+    file.write(f"{'PF' if radiance.ndim == 3 else 'Pf'}\n{width} {height}\n-1.0\n".encode())
     file.write(np.ascontiguousarray(radiance[::-1], "<f4").tobytes())
 
 
@@ -71,17 +72,21 @@ def _literal(made: bytearray, data: bytes) -> None:
         made += part
 
 
-def write_exr(radiance: Radiance, file: BinaryIO) -> None:
-    """Write an OpenEXR picture of binary32 channels R, G and B, ZIP packed without loss."""
+def write_exr(radiance: Radiance, file: BinaryIO, channels: Mapping[str, NDArray[Any]] | None = None) -> None:
+    """Write an OpenEXR picture of binary32 channels R, G and B, ZIP packed without loss.
+
+    channels  others beside them by name, each (height, width), float32 or uint32
+    """
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    of_all = {"RGB": np.ascontiguousarray(radiance, np.float32), **(channels or {})}
     # The library writes files by name only: this one is in memory, and goes with the process, however that ends.
     with os.fdopen(os.memfd_create("picture", os.MFD_CLOEXEC), "w+b") as memory:
-        with OpenEXR.File(header, {"RGB": np.ascontiguousarray(radiance, np.float32)}) as made:
+        with OpenEXR.File(header, of_all) as made:
             made.write(f"/proc/self/fd/{memory.fileno()}")
         memory.seek(0)
         shutil.copyfileobj(memory, file)
 
 
-WRITERS = {".pfm": write_pfm, ".hdr": write_hdr, ".exr": write_exr}
+WRITERS: dict[str, Callable[[Radiance, BinaryIO], None]] = {".pfm": write_pfm, ".hdr": write_hdr, ".exr": write_exr}

@@ -15,6 +15,7 @@ from raygrid.host.image.outputs import SUMS, suffix_of
 from raygrid.node.errors import RaygridError
 
 if TYPE_CHECKING:
+    from raygrid.host.image.layer_names import LayerFile
     from raygrid.host.image.picture import Picture
 
 KEYWORD = "raygrid"  # of the text in a .png: the digest of what it is a picture of, and that of its pixels
@@ -24,11 +25,28 @@ Recorded = Callable[[str, str], bool]
 
 def save_marked(picture: Picture, path: str, transfer: str, digest: str) -> None:
     """Write a picture or a .npy; a .png says itself what it is. Raises OutputError."""
-    texts = {}
-    if suffix_of(path) == ".png":
-        pixels = picture.bytes(transfer)
-        texts[KEYWORD] = f"{digest} {_digest_of_pixels('RGB', pixels.shape[1::-1], pixels)}"
+    texts = mark(digest, picture.bytes(transfer)) if suffix_of(path) == ".png" else {}
     picture.save(path, transfer, texts)
+
+
+def save_marked_layer(picture: Picture, file: LayerFile, digest: str) -> None:
+    """Write a layer of a picture; a .png says itself what it is. Raises OutputError."""
+    from raygrid.host.image.layer_pictures import layer_picture, save_layer
+
+    path, layer = file
+    values = picture.layers[layer]
+    texts = mark(digest_of_layer(digest, layer), layer_picture(layer, values)) if suffix_of(path) == ".png" else {}
+    save_layer(path, layer, values, texts)
+
+
+def digest_of_layer(digest: str, layer: str) -> str:
+    """A digest of all that a layer depends on, of that of its picture."""
+    return hashlib.sha256(f"{digest} {layer}".encode()).hexdigest()
+
+
+def mark(digest: str, pixels: NDArray[np.uint8]) -> dict[str, str]:
+    """The text by which a .png says of what it is a picture, and that its pixels are those."""
+    return {KEYWORD: f"{digest} {_digest_of_pixels('RGB', pixels.shape[1::-1], pixels)}"}
 
 
 def nobody(_path: str, _digest: str) -> bool:

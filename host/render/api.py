@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 from raygrid.emulator.driver import BUDGET, PATIENCE, NodeSample, Progress
 from raygrid.emulator.processes import BATCH, NOTE, Array, kind_of
 from raygrid.emulator.topology import parse_shape
+from raygrid.host.image.layer_names import checked_layers
 from raygrid.host.image.picture import Picture
 from raygrid.host.render.animation_jobs import jobs_of
 from raygrid.host.render.frame import Watch
@@ -82,6 +83,7 @@ class Machine:
         watch: Watch | None = None,
         attempts: int = ATTEMPTS,
         program: str | Path | Program | None = None,
+        layers: Iterable[str] = (),
         progress: ProgressHook | bool = True,
         **settings: Unpack[GivenSettings],
     ) -> Picture:
@@ -94,13 +96,15 @@ class Machine:
         attempts  how often to try in all: when a node is lost or a link breaks, the array is reset and the frame
                   begins anew; what happened is in the picture's stats["faults"]
         program   path of a program for the nodes (docs/programs.md), on a machine launched with allow_programs
+        layers    names of layers that the picture is to have: "depth", "normal", "surface", "material" (`Picture.layers`)
         progress  True: a bar in a notebook; False: none; a function: called with a RenderProgress as the work goes on
         What is to be said of scene and picture goes to the logger "raygrid" (`raygrid.host.text.remarks`).
         Raises SceneError for a scene or settings that cannot be rendered, ArrayError if the array fails.
         """
         with self._use() as array:
             frame, view = parted(settings)
-            job = make_job(load_scene(scene, self._allow_outside, **view), self.shape, self._settings(frame, program))
+            asked = self._settings(frame, program, layers)
+            job = make_job(load_scene(scene, self._allow_outside, **view), self.shape, asked)
             with following(progress, job.scene.name) as hook:
                 picture = RenderSession(array, attempts, _tell_fault).render(job, budget, _watching(job, hook, watch))
         self._tell_remarks(job, picture)
@@ -115,6 +119,7 @@ class Machine:
         watch: Watch | None = None,
         attempts: int = ATTEMPTS,
         program: str | Path | Program | None = None,
+        layers: Iterable[str] = (),
         progress: ProgressHook | bool = True,
         **settings: Unpack[GivenSettings],
     ) -> Iterator[Picture]:
@@ -127,7 +132,7 @@ class Machine:
         frame, view = parted(settings)
         read = load_scene(scene, self._allow_outside, **view)
         with following(progress, read.name) as hook:
-            for job in jobs_of(read, self.shape, self._settings(frame, program), frames):
+            for job in jobs_of(read, self.shape, self._settings(frame, program, layers), frames):
                 with self._use() as array:  # not while the caller has the picture
                     session = RenderSession(array, attempts, _tell_fault)
                     picture = session.render(job, budget, _watching(job, hook, watch))
@@ -142,10 +147,11 @@ class Machine:
         if (blank := picture.blank()) is not None:
             remark(f"{job.scene.name}: {blank}", logging.WARNING)
 
-    def _settings(self, given: dict[str, Any], program: str | Path | Program | None) -> Settings:
+    def _settings(self, given: dict[str, Any], program: str | Path | Program | None, layers: Iterable[str]) -> Settings:
         if program is not None and not self._array.programs:
             raise ArrayError("a program is code that runs with your rights, wanted launch(..., allow_programs=True)")
-        return Settings(**given, program=read_program(program) if isinstance(program, str | Path) else program)
+        read = read_program(program) if isinstance(program, str | Path) else program
+        return Settings(**given, program=read, layers=checked_layers(layers))
 
     def probe(self, rate: float, watch: Callable[[NodeSample], object] | None) -> None:
         """Let every node tell `rate` times a second how it stands, while the array renders; 0: no more (docs/probes.md).

@@ -137,12 +137,17 @@ def _check_missing(job: Job, samples: Samples) -> None:
         raise Garbled(f"pixel {pixel} came without all its samples, though its rays enter the world box")
 
 
+def check_samples(job: Job, samples: Samples) -> None:
+    """Raise ArrayError if a pixel has more samples than it should, or fewer though its rays enter the world box."""
+    if int(samples.max()) > job.frame.samples:
+        raise Garbled(f"pixel {int(np.argmax(samples))} came with more samples than the {job.frame.samples} it has")
+    _check_missing(job, samples)
+
+
 def add_misses(job: Job, sums: NDArray[np.int64], samples: Samples) -> None:
     """Add what the samples see whose rays never enter the world box; no home counts them."""
     frame = job.frame
-    if int(samples.max()) > frame.samples:
-        raise Garbled(f"pixel {int(np.argmax(samples))} came with more samples than the {frame.samples} it has")
-    _check_missing(job, samples)
+    check_samples(job, samples)
     program = job.settings.program
     if program is not None and "background" in program.hooks:
         if job.add_missed is not None:

@@ -6,7 +6,15 @@ from raygrid.host.image.frames import FrameNames
 from raygrid.host.image.moving_pictures import Reel
 from raygrid.host.image.outputs import suffix_of
 from raygrid.host.image.picture import Picture
-from raygrid.host.image.resume_check import Recorded, frame_is_there, nobody, save_marked
+from raygrid.host.image.resume_check import (
+    Recorded,
+    digest_of_layer,
+    frame_is_there,
+    is_whole,
+    nobody,
+    save_marked,
+    save_marked_layer,
+)
 from raygrid.host.render.prepared import PreparedFrame
 from raygrid.host.render.stats import save_stats
 
@@ -17,13 +25,13 @@ class FrameFiles:
     names   of all files of the job
     frame   number of the frame, or None: files without one
     reel    where frames wait for the files that hold all
-    single  the files of this frame alone; stats: its statistics, or None
+    single  the files of this frame alone; layers: those of its layers; stats: its statistics, or None
     digest  of all that a picture of this frame depends on
     """
 
     def __init__(self, names: FrameNames, frame: int | None, ready: PreparedFrame, transfer: str, reel: Reel) -> None:
         self.names, self.frame, self.ready, self.transfer, self.reel = names, frame, ready, transfer, reel
-        self.single, self.stats = names.of(frame), names.stats_of(frame)
+        self.single, self.layers, self.stats = names.of(frame), names.layers_of(frame), names.stats_of(frame)
         self.digest = ready.digest(frame, transfer)
 
     def are_there(self, recorded: Recorded = nobody) -> bool:
@@ -32,6 +40,11 @@ class FrameFiles:
         recorded  as of `raygrid.host.image.resume_check.is_whole`
         """
         if not frame_is_there(self.single, self.stats, self.digest, self.ready.size, recorded):
+            return False
+        if not all(
+            is_whole(path, digest_of_layer(self.digest, layer), *self.ready.size, recorded)
+            for path, layer in self.layers
+        ):
             return False
         if self.all_played(recorded):
             return True
@@ -48,6 +61,8 @@ class FrameFiles:
         """Write the frame. Raises OutputError."""
         for file in self.single:
             save_marked(picture, file, self.transfer, self.digest)
+        for layer in self.layers:
+            save_marked_layer(picture, layer, self.digest)
         if self.stats is not None:
             save_stats(self.stats, picture.stats)
         if self.names.played and self.frame is not None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from raygrid.emulator.partition import SPLITS
 from raygrid.emulator.partition.split import split
+from raygrid.host.image.layer_names import checked_layers
 from raygrid.host.scene.load import WantsProgram
 from raygrid.host.scene.scene import Scene
 from raygrid.host.text.misuse import SceneMisuse
@@ -38,6 +39,7 @@ class Settings:
     highlights  whether materials' highlights are used
     split       "balanced" or "uniform"
     program     that nodes are to run (`raygrid.host.render.program_file`), None for none
+    layers      that the picture is to have besides (`raygrid.host.image.layer_names.LAYERS`)
     """
 
     size: tuple[int, int] | None = None
@@ -47,6 +49,7 @@ class Settings:
     highlights: bool | None = None
     split: str = "balanced"
     program: Program | None = None
+    layers: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -97,13 +100,14 @@ def make_still_job(
 
 def check_settings(scene: Scene, settings: Settings) -> None:
     """Raise WantsProgram for surfaces that nobody can hit without a program, if there is none that does; SceneError for a
-    scene without surfaces, and for a split that is none."""
+    scene without surfaces, for a split that is none, and for layers that are none."""
     program = settings.program
     programmed = scene.surfaces.count(AddedKind.PROGRAMMED)
     if programmed and (program is None or "surface_hits" not in program.hooks):
         raise WantsProgram(f"{scene.name}: {programmed} surfaces of a program came, wanted a program with surface_hits")
     if len(scene.surfaces) == 0:
         raise SceneError(f"{scene.name}: the scene has no surfaces")
+    checked_layers(settings.layers)
     if settings.split not in SPLITS:
         raise SceneError(f"a split came as {settings.split!r}, wanted one of {', '.join(SPLITS)}")
 

@@ -37,11 +37,11 @@ class PreparedFrame:
         """A digest of all that a picture depends on: contents, settings, program, frame, transfer, and this version.
 
         frame  its number; of a file that plays the first and the last
-        The split is not part of it, for the picture does not depend on it.
+        Split and layers are not part of it, for the picture does not depend on them.
         """
         settings = self.job.settings
         program = None if settings.program is None else settings.program.digest
-        words = astuple(replace(settings, split="", program=None))
+        words = astuple(replace(settings, split="", program=None, layers=()))[:-1]
         return hashlib.sha256(repr((_version(), self.contents, words, program, frame, transfer)).encode()).hexdigest()
 
 

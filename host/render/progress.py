@@ -19,6 +19,7 @@ PHASES = {
     "load": "loading surfaces",
     "trace": "tracing",
     "collect": "collecting pixels",
+    "layers": "tracing layers",
     "write": "handing the picture over",
 }
 
@@ -26,7 +27,8 @@ PHASES = {
 class RenderProgress(NamedTuple):
     """How far a render is.
 
-    phase      "load", "trace" and "collect"; on an array that stays "read" before and "write" after them
+    phase      "load", "trace", "collect", and "layers" if there are to be some; on an array that stays "read" before and
+               "write" after them
     part       of the tracing that is done, 0.0 to 1.0
     in_flight  packets that are under way in the array
     frame      number of the frame of a shot, None for a single one

@@ -14,6 +14,7 @@ from raygrid.emulator.driver import BUDGET, Progress
 from raygrid.emulator.processes import Array
 from raygrid.host.image.picture import Picture
 from raygrid.host.render.frame import Watch, needs_increment, render_job
+from raygrid.host.render.layer_frames import with_layers
 from raygrid.host.render.machine_job import Job
 from raygrid.host.render.retry import ATTEMPTS, RECOVERABLE, FaultReport, given_up, reset_after
 
@@ -36,7 +37,7 @@ class RenderSession:
     def render(
         self, job: Job, budget: int = BUDGET, watch: Watch | None = None, prices: dict[str, Any] | None = None
     ) -> Picture:
-        """Render one frame as `render_job` does, whose arguments these are.
+        """Render one frame as `render_job` does, whose arguments these are, and then its layers, if it is to have some.
 
         After a fault the array is reset, the scene loaded anew, and the pass repeated. The picture has the same bits as
         without faults; stats["faults"] is a map for each fault (see `FaultReport`).
@@ -60,6 +61,7 @@ class RenderSession:
 
             try:
                 picture = render_job(self.array.driver, job, budget, seen, prices)
+                picture = with_layers(self.array.driver, job, picture, budget, seen, prices)
             except RECOVERABLE as error:
                 if len(faults) + 1 >= self._attempts:
                     raise given_up(error, faults) from error

@@ -92,6 +92,7 @@ class SceneBuilder:
         self._materials: list[Table] = []
         self._baked: list[bool] = []
         self._apart: list[bool] = []
+        self._names: list[str] = []  # of each material given, "" for none
         self._moving: list[tuple[int, int]] = []  # order numbers, first and end
         self.orders: Ints = np.zeros(0, np.int64)  # of each id, once finished
         # of each material given its row of the table, -1: not used, once finished
@@ -102,9 +103,12 @@ class SceneBuilder:
         self._bent = 0  # polygons that were not planar
         self._crossing = 0  # polygons that could be cut into triangles only by guess
 
-    def add_materials(self, rows: Table, baked: bool = False, apart: bool = False) -> int:
+    def add_materials(
+        self, rows: Table, baked: bool = False, apart: bool = False, names: str | Sequence[str] = ""
+    ) -> int:
         """Take materials, MATERIAL_RECORD (m,); returns the number of the first. `baked`: from a texture's colours, so that
-        they may be rounded if there are too many. `apart`: they change, and are never one with equal ones."""
+        they may be rounded if there are too many. `apart`: they change, and are never one with equal ones. `names`: of each
+        in the file, or one of all; "" for none."""
         if not all(np.isfinite(rows[name]).all() and (rows[name] >= 0.0).all() for name in MATERIAL_RECORD.names or ()):
             raise SceneError(f"{self.where}: a material has a number that is not finite or below 0")
         wild = rows["transmission"].any(axis=1) & ((rows["ior"] < LEAST_IOR) | (rows["ior"] > MOST_IOR))
@@ -115,6 +119,7 @@ class SceneBuilder:
         self._materials.append(rows)
         self._baked.append(baked)
         self._apart.append(apart)
+        self._names += [names] * len(rows) if isinstance(names, str) else names
         return first
 
     def let_move(self, first: int, end: int) -> None:
@@ -207,6 +212,15 @@ class SceneBuilder:
             made.append(Batch(kind, ids[begin:end], share[materials].astype(np.uint16), data, starts))
             begin = end
         return SurfaceSet(tuple(_in_order(batch) for batch in merge(made))), table, (*self.remarks, *remarks)
+
+    def material_names(self, many: int) -> tuple[str, ...]:
+        """What each of the `many` rows of the table is called in the file, once finished: those that were equal and became
+        one have all names, in order; "" for none."""
+        found: list[dict[str, None]] = [{} for _ in range(many)]
+        for name, row in zip(self._names, self.share.tolist(), strict=True):
+            if name and row >= 0:
+                found[row][name] = None
+        return tuple(", ".join(names) for names in found)
 
     def _cut_bent(self) -> None:
         """Cut the polygons that are not planar into triangles; only now is it known how large the scene is."""

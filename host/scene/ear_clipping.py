@@ -2,6 +2,10 @@
 
 A corner is an ear if it turns left and no other vertex lies in the triangle with its neighbours. What was found to be none
 because of a vertex stays none until that vertex, or a neighbour, is gone, so it is not looked at again before.
+
+That takes time by the square of the corners. Of polygons with many mapbox-earcut finds ears in a hundredth of the time or less, but
+narrower ones; it leaves out vertices that come twice, and of hard cases those in a line, and does not tell of polygons that cross.
+So what it gives is taken if it is seen to be whole, and else the polygon is cut here.
 """
 
 from __future__ import annotations
@@ -15,6 +19,8 @@ from numpy.typing import NDArray
 from raygrid.node.geometry import F64
 
 Ints = NDArray[np.int64]
+MANY = 64  # corners, of which one takes 4 ms here
+LOST = 1e-9  # of the area: what rounding takes away
 CONVEX = 1e-9  # a corner may turn the wrong way by this sine: nearly straight corners of rounded numbers
 
 
@@ -23,6 +29,8 @@ def clip_ears(plane: F64, doubled_area: float) -> tuple[Ints, bool]:
 
     plane: its vertices, (m, 2), counter-clockwise.
     """
+    if len(plane) >= MANY and (found := clip_many(plane, doubled_area)) is not None:
+        return found, True
     ring = _Ring(plane)
     ears, clean = [], True
     for _ in range(len(plane) - 3):
@@ -36,6 +44,21 @@ def clip_ears(plane: F64, doubled_area: float) -> tuple[Ints, bool]:
     a, b, c = plane[left]
     clean = clean and float(_cross(b - a, c - b)) >= -CONVEX * doubled_area
     return np.array(ears, np.int64), clean
+
+
+def clip_many(plane: F64, doubled_area: float) -> Ints | None:
+    """Triangles of a polygon, arguments as of `clip_ears`, by mapbox-earcut; None if vertices or area are lost, or more is
+    covered than there is."""
+    from mapbox_earcut import triangulate_float64
+
+    found = triangulate_float64(np.ascontiguousarray(plane), np.array([len(plane)], np.uint32))
+    ears = found.reshape(-1, 3).astype(np.int64)
+    if len(ears) != len(plane) - 2 or not np.bincount(found, minlength=len(plane)).all():
+        return None
+    a, b, c = (plane[ears[:, k]] for k in range(3))
+    doubled = _cross(b - a, c - a)
+    whole = doubled.min() >= 0.0 and abs(float(doubled.sum()) - doubled_area) <= LOST * doubled_area
+    return ears if whole else None
 
 
 class _Ring:

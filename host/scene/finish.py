@@ -65,6 +65,7 @@ def finish_scene(
         name=shown_name(path.name),
         surfaces=surfaces,
         materials=materials,
+        material_names=builder.material_names(len(materials)),
         lights=lights,
         camera=camera,
         background=INVENTED_BACKGROUND if background is None else background,

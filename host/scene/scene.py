@@ -42,6 +42,7 @@ class Scene:
     front       to the side that is seen from the front, None: as usual (`cameras.usual_front`)
     cameras     all that the file has, `camera` among them; none if it was invented, and may be none if it has one alone
     camera_invented, lights_invented  whether the file had none
+    material_names  of each material in the file, "" for none; equal ones are one with all their names; () if there are none
     """
 
     name: str
@@ -63,6 +64,7 @@ class Scene:
     cameras: tuple[NamedCamera, ...] = ()
     camera_invented: bool = False
     lights_invented: bool = False
+    material_names: tuple[str, ...] = ()
 
 
 class SceneSource(ABC):

@@ -19,6 +19,9 @@ from .frame import DIRECTIONAL as DIRECTIONAL
 from .frame import LIGHT_RECORD as LIGHT_RECORD
 from .frame import MATERIAL_RECORD as MATERIAL_RECORD
 from .frame import POINT as POINT
+from .frame_tables import LAYER_DEPTH as LAYER_DEPTH
+from .frame_tables import LAYER_NORMAL as LAYER_NORMAL
+from .frame_tables import LAYER_SURFACE as LAYER_SURFACE
 from .frame_tables import RULE_COLUMNS as RULE_COLUMNS
 from .frame_tables import SPECULAR as SPECULAR
 from .frame_tables import TRANSMISSION as TRANSMISSION

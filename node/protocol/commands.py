@@ -14,7 +14,14 @@ import numpy as np
 from raygrid.node.errors import ProtocolError, SceneError
 from raygrid.node.geometry.lattice import Space, make_space
 from raygrid.node.geometry.surfaces import F64
-from raygrid.node.protocol.frame_tables import LIGHT_COLUMNS, MATERIAL_COLUMNS, RULE_COLUMNS, Frame
+from raygrid.node.protocol.frame_tables import (
+    LAYER_NONE,
+    LAYER_SURFACE,
+    LIGHT_COLUMNS,
+    MATERIAL_COLUMNS,
+    RULE_COLUMNS,
+    Frame,
+)
 from raygrid.node.protocol.packets import MAX_DEPTH, MAX_LIGHTS, MAX_SAMPLES
 
 MAX_SIDE = 65536  # pixels
@@ -132,6 +139,7 @@ def frame_order(frame: Frame) -> dict[str, Any]:
         "depth": frame.depth,
         "min_weight": frame.min_weight,
         "discs": frame.discs,
+        "layer": frame.layer,
     } | rules
 
 
@@ -148,6 +156,9 @@ def read_frame(order: CommandMap) -> Frame:
     samples = _whole(order, "samples", 1, MAX_SAMPLES - 1)
     if width * height * samples > MAX_SAMPLES:
         raise ProtocolError(f"a frame came with {width} x {height} x {samples} samples, wanted {MAX_SAMPLES} or fewer")
+    layer = _whole(order, "layer", LAYER_NONE, LAYER_SURFACE)
+    if layer != LAYER_NONE and samples != 1:
+        raise ProtocolError(f"a layer came with {samples} samples a pixel, wanted 1")
     background, min_weight, discs = order.get("background"), order.get("min_weight"), order.get("discs")
     least = [min_weight]
     if not _numbers(background, 3) or not _numbers(least, 1) or not isinstance(discs, bool):
@@ -164,6 +175,7 @@ def read_frame(order: CommandMap) -> Frame:
         _whole(order, "depth", 1, MAX_DEPTH),
         float(least[0]),
         discs,
+        layer,
     )
 
 

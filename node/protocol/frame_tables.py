@@ -18,6 +18,8 @@ RULE, RULE_NUMBER, RULE_COLUMNS = MATERIAL_COLUMNS, MATERIAL_COLUMNS + 1, 1 + NU
 LIGHT_KIND, LIGHT_PLACE, LIGHT_INTENSITY, LIGHT_FALLOFF, LIGHT_SPOT, LIGHT_AXIS = 0, 1, 4, 7, 8, 9
 COS_INNER, COS_OUTER, COS_DISC, DISC = 12, 13, 14, 15
 LIGHT_COLUMNS = 18
+# Frame.layer: what pixels are to say of the first surface that is seen through their middles (`node.tracing.layer_values`)
+LAYER_NONE, LAYER_DEPTH, LAYER_NORMAL, LAYER_SURFACE = 0, 1, 2, 3
 
 
 class Frame(NamedTuple):
@@ -31,6 +33,7 @@ class Frame(NamedTuple):
     depth       depth of the last hit that is lit; a primary ray has depth 1
     min_weight  rays whose largest weight is below this are not spawned
     discs       whether any light can be seen
+    layer       LAYER_NONE: a picture; else the layer that is traced in its place, with one sample a pixel
     """
 
     camera: F64
@@ -44,6 +47,7 @@ class Frame(NamedTuple):
     depth: int
     min_weight: float
     discs: bool
+    layer: int = LAYER_NONE
 
 
 def material_table(materials: NDArray[Any]) -> F64:

@@ -5,6 +5,9 @@ from .framebuffer import UNIT as UNIT
 from .framebuffer import Pixels as Pixels
 from .framebuffer import fixed_point as fixed_point
 from .framebuffer import make_pixels as make_pixels
+from .layer_values import read_distances as read_distances
+from .layer_values import read_normals as read_normals
+from .layer_values import read_surfaces as read_surfaces
 from .local_geometry import build_surfaces as build_surfaces
 from .local_geometry import empty_surfaces as empty_surfaces
 from .output_queues import make_outputs as make_outputs

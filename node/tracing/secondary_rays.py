@@ -1,7 +1,7 @@
 """Shades the hit at which a ray dies: spawns its shadow rays, and a reflected and a refracted ray, the secondary rays.
 
 The formulas are in `node.tracing.shading`. What a program may replace, the normals of a surface and what lights it, is
-handed in.
+handed in. In a frame that is a layer nothing is spawned: facts of the hit go home as if they were light.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
@@ -17,9 +17,10 @@ from raygrid.node.geometry.power import power
 from raygrid.node.jit.closures import made_of_parts
 from raygrid.node.jit.decorators import Function, part
 from raygrid.node.protocol.counters import DIED, HITS
-from raygrid.node.protocol.frame_tables import DIFFUSE, HIGHLIGHT, IOR, SHINE, SPECULAR, TRANSMISSION
+from raygrid.node.protocol.frame_tables import DIFFUSE, HIGHLIGHT, IOR, LAYER_NONE, SHINE, SPECULAR, TRANSMISSION
 from raygrid.node.protocol.packets import REFLECTED, REFRACTED, SHADOW, read_depth, read_u32, read_weight
-from raygrid.node.tracing.output_queues import emit
+from raygrid.node.tracing.layer_values import layer_values
+from raygrid.node.tracing.output_queues import emit, give_back
 from raygrid.node.tracing.shading import light_direction, light_intensity, refract
 from raygrid.node.tracing.spawn import RAY_BATCH, SHADOW_BATCH
 
@@ -123,6 +124,11 @@ def make_shade(normals: Function, lit: Function) -> Function:
         cosine = -(d[0] * n[0] + d[1] * n[1] + d[2] * n[2])
         if cosine < 0.0:
             n, cosine = (-n[0], -n[1], -n[2]), -cosine
+        if tables.frame.layer != LAYER_NONE:
+            sample = read_u32(packets, at + 1)
+            values = layer_values(tables.frame, sample, d, p, n, np.int64(surfaces.ids[item]), material)
+            give_back(tables, sample, read_depth(packets, at), values)
+            return False
         mirror = (d[0] + 2.0 * cosine * n[0], d[1] + 2.0 * cosine * n[1], d[2] + 2.0 * cosine * n[2])
         weight = read_weight(packets, at)
         hit = Hit(read_depth(packets, at), read_u32(packets, at + 1), weight, material, p, g, n, mirror)

@@ -23,6 +23,7 @@ from raygrid.node.geometry.spanning_tree import towards_corner_part
 from raygrid.node.jit.closures import made_of_parts
 from raygrid.node.jit.decorators import Function, lean, part
 from raygrid.node.protocol.counters import BOXES, DIED, WALKS
+from raygrid.node.protocol.frame_tables import LAYER_NONE
 from raygrid.node.protocol.messages import HEAD
 from raygrid.node.protocol.packets import (
     PIXEL,
@@ -104,11 +105,12 @@ def _walks_here(tables, packets, at, way, met):
 
 @part
 def _bring_home(tables, packets, at, kind, colour):
-    """Let a ray die that leaves the scene, and send home what it sees there."""
+    """Let a ray die that leaves the scene, and send home what it sees there: in a layer, nothing."""
     sample, depth = read_u32(packets, at + 1), read_depth(packets, at)
     weight = read_weight(packets, at)
     tables.counts[DIED + kind] += 1
-    give_back(tables, sample, depth, (weight[0] * colour[0], weight[1] * colour[1], weight[2] * colour[2]))
+    if tables.frame.layer == LAYER_NONE:
+        give_back(tables, sample, depth, (weight[0] * colour[0], weight[1] * colour[1], weight[2] * colour[2]))
 
 
 @part

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from pathlib import Path
 from typing import NamedTuple
 
 from raygrid.host.cli.main import cli
@@ -11,7 +12,13 @@ from support import paths
 
 ROOT = paths.ROOT
 RUN = "<!-- run -->"  # before a block of code: its lines are run, small
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+FILE = re.compile(r"^<!-- file: (\S+) -->\n```\w*\n(.*?)^```", re.M | re.S)  # what the reader is to put into a file
+SNIPPET = re.compile(
+    r"^```python\n(.*?)^```(?:\n\n<!-- output -->\n```\n(.*?)^```)?", re.M | re.S
+)  # and what it prints
+OUTPUT = re.compile(r"^<!-- output of: (raygrid [^\n]*) -->\n```\n(.*?)^```", re.M | re.S)
+SMALL = {"640, 480": "64, 48", "800, 600": "64, 48", "frames=(1, 48)": "frames=(1, 2)", '"2x2x2"': '"2x1x1"'}
 COMMENT = re.compile(r"\s+#\s.*$|\s{3,}\S.*$")  # what a line says of itself, behind it
 
 
@@ -44,6 +51,30 @@ def lines_of(text: str, name: str) -> list[Line]:
     return found
 
 
+def files_of(page: Path) -> dict[str, str]:
+    """Files that a page lets its reader write, name -> text. Who reads a tutorial has those of the others."""
+    pages = sorted(page.parent.glob("*.md")) if is_tutorial(page) else [page]
+    return dict(found for one in pages for found in FILE.findall(one.read_text()))
+
+
+def snippets(page: Path) -> list[tuple[str, str]]:
+    """The Python blocks of a page, with few pixels, frames and processors, and what each prints, if the page shows it."""
+    found = SNIPPET.findall(page.read_text())
+    for large, little in SMALL.items():
+        found = [(snippet.replace(large, little), shown) for snippet, shown in found]
+    return found
+
+
+def shown_outputs() -> list[tuple[Path, list[str], str]]:
+    """Page, words and output of the commands whose output a page shows."""
+    return [(page, shlex.split(line)[1:], shown) for page in PAGES for line, shown in OUTPUT.findall(page.read_text())]
+
+
+def is_tutorial(page: Path) -> bool:
+    """Whether a page is gone through from its beginning to its end."""
+    return page.parent.name == "tutorials"
+
+
 def documented() -> list[Line]:
     """All lines of README and docs."""
     return [line for page in PAGES for line in lines_of(page.read_text(), page.name)]
@@ -60,6 +91,18 @@ def sittings(lines: list[Line]) -> list[list[Line]]:
         else:
             found.append([line])
     return found
+
+
+def marked(page: Path) -> list[list[Line]]:
+    """The marked lines of a page by what a reader does in one go: all of a tutorial, else as `sittings` has them."""
+    lines = [line for line in lines_of(page.read_text(), page.name) if line.runs]
+    return [lines] if lines and is_tutorial(page) else sittings(lines)
+
+
+def names_up(lines: list[Line]) -> list[str]:
+    """Names of the arrays that these lines launch to stay."""
+    ups = [line.words for line in lines if line.words[0] == "up"]
+    return [words[words.index("--name") + 1] if "--name" in words else "default" for words in ups]
 
 
 def of_help() -> list[Line]:

@@ -332,7 +332,7 @@ class Leftovers:
         psutil.wait_procs(processes, timeout=self._grace)
         for directory in self._socket_directories():
             if directory not in self._directories and self._is_ours(directory):
-                lines.append(f"directory {directory}")
+                lines.append(f"directory {directory} of {_signed(directory)} with {sorted(os.listdir(directory))}")
                 shutil.rmtree(directory, ignore_errors=True)
         new = self._watched_descriptors().items() - self._descriptors
         return lines + [f"descriptor {number} {what}" for number, what in sorted(new)]
@@ -393,6 +393,14 @@ class Leftovers:
         tracker = multiprocessing.resource_tracker._resource_tracker._fd
         found = open_descriptors().items()
         return {number: what for number, what in found if what.startswith(DESCRIPTORS) and number != tracker}
+
+
+def _signed(directory: str) -> str:
+    """What a socket directory says of whose it is."""
+    try:
+        return Path(directory, socket_directory.PID_FILE).read_text().strip()
+    except OSError:
+        return "nobody"
 
 
 @pytest.fixture

@@ -3,22 +3,35 @@
 from __future__ import annotations
 
 import re
-import shutil
 from pathlib import Path
 
 import click
 import pytest
 from support.cli import as_process, here, warm_kernels
-from support.docs import PAGES, ROOT, Line, documented, lines_of, of_help, sittings, small
+from support.docs import (
+    PAGES,
+    ROOT,
+    Line,
+    documented,
+    files_of,
+    lines_of,
+    marked,
+    names_up,
+    of_help,
+    shown_outputs,
+    small,
+)
 
 from raygrid.host.cli.main import cli
+from raygrid.host.image.ffmpeg import find_ffmpeg
 from raygrid.host.scene.load import READERS
 
 __all__ = ["warm_kernels"]
 
 LINES = [*documented(), *of_help()]
-MARKED = [[line for line in lines_of(page.read_text(), page.name) if line.runs] for page in PAGES]
-SITTINGS = [sitting for lines in MARKED for sitting in sittings(lines)]
+MARKED = {page: marked(page) for page in PAGES}
+SITTINGS = [pytest.param(lines, page, id=lines[0].where) for page, lists in MARKED.items() for lines in lists]
+WRITTEN = {name for page in PAGES for name in files_of(page)}
 # Scenes of the Standard Procedural Databases, which README says how to get, and measurements beside their commands.
 ELSEWHERE = re.compile(
     r"(tetra|mount|balls|gears|rings|teapot|shells|jacks|lattice|tree)_\d+\.nff|\$RAYGRID_SHARED/.*|ring\.ply"
@@ -45,14 +58,16 @@ def test_every_line_parses_and_its_files_are_there(line):
     read += context.params.get("scenes") or ()
     for path in map(str, read):
         assert Path(path).suffix in (*READERS, ".py"), path
-        assert (ROOT / path).is_file() or ELSEWHERE.fullmatch(path), f"{line.where}: {path} is not shipped"
+        known = (ROOT / path).is_file() or ELSEWHERE.fullmatch(path) or path in WRITTEN
+        assert known, f"{line.where}: {path} is not shipped"
 
 
 def test_the_lines_are_found():
     """So that no test above passes for want of lines."""
     assert len(documented()) > 50
     assert len(of_help()) > 30
-    assert sum(map(len, SITTINGS)) > 20
+    assert len(shown_outputs()) >= 2
+    assert sum(len(lines) for lists in MARKED.values() for lines in lists) > 50
     page = "<!-- run -->\n```\nraygrid info x.nff      what is in it\n```\n\n    raygrid up && raygrid down  # both\n"
     assert [(line.words, line.runs) for line in lines_of(page, "x")] == [
         (["info", "x.nff"], True),
@@ -91,22 +106,36 @@ def test_no_summary_of_a_command_is_cut():
     assert not [line for line in listed if not line.endswith(".") or line.endswith("...")]
 
 
+@pytest.mark.usefixtures("warm_kernels")
+@pytest.mark.parametrize(
+    ("page", "words", "shown"), shown_outputs(), ids=lambda part: "" if isinstance(part, str) else None
+)
+def test_a_page_shows_what_is_printed(page, words, shown, tmp_path, monkeypatch):
+    """Each line of the block, in its order, with nothing made smaller; what is left out is wall time."""
+    monkeypatch.chdir(tmp_path)
+    for name, text in files_of(page).items():
+        Path(name).write_text(text)
+    printed = iter(here(*words).out.splitlines())
+    assert not [line for line in shown.splitlines() if line not in printed]
+
+
 @pytest.mark.timeout(900)  # kernels and a program are compiled, each a minute on a quiet computer
 @pytest.mark.usefixtures("no_leftovers", "warm_kernels")
-@pytest.mark.parametrize("lines", SITTINGS, ids=lambda lines: lines[0].where)
-def test_marked_lines_run(lines, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("lines", "page"), SITTINGS)
+def test_marked_lines_run(lines, page, tmp_path, monkeypatch):
     """One after the other in one folder, as a reader would, with few pixels, frames and processors."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     Path("scenes").symlink_to(ROOT / "scenes")
     Path("out").mkdir()
+    for name, text in files_of(page).items():
+        Path(name).write_text(text)
     try:
         for line in lines:
-            if any(word.endswith(".mp4") for word in line.words) and shutil.which("ffmpeg") is None:
+            if any(word.endswith(".mp4") for word in line.words) and find_ffmpeg() is None:
                 continue
             outcome = here(*small(line.words))
             assert outcome.code == 0, f"{line.where}: raygrid {' '.join(small(line.words))}: {outcome.err}"
     finally:
-        for up in (line for line in lines if line.words[0] == "up"):
-            array = up.words[up.words.index("--name") + 1] if "--name" in up.words else "default"
-            as_process("down", "--cancel", "--name", array)
+        for name in names_up(lines):
+            as_process("down", "--cancel", "--name", name)

@@ -1,23 +1,21 @@
 """Every Python snippet of README and docs runs, as a reader would type it, with the scenes beside it and an array that is up."""
 
 import logging
-import re
 import warnings
 from pathlib import Path
 
 import pytest
 from support.cli import warm_kernels
-from support.docs import PAGES, ROOT
+from support.docs import PAGES, ROOT, files_of, snippets
 from support.service import lasting
 
 __all__ = ["warm_kernels"]
 
 SNIPPETS = [
-    pytest.param(found, id=f"{page.stem}-{number}")
+    pytest.param(snippet, shown, page, id=f"{page.stem}-{number}")
     for page in PAGES
-    for number, found in enumerate(re.findall(r"^```python\n(.*?)^```", page.read_text(), re.M | re.S), 1)
+    for number, (snippet, shown) in enumerate(snippets(page), 1)
 ]
-SMALL = {"640, 480": "64, 48", "800, 600": "64, 48", "frames=(1, 48)": "frames=(1, 2)", '"2x2x2"': '"2x1x1"'}
 
 
 @pytest.fixture(scope="module")
@@ -26,17 +24,19 @@ def film(warm_kernels, tmp_path_factory):
         yield name
 
 
-@pytest.mark.parametrize("snippet", SNIPPETS)
-def test_a_snippet_runs(snippet, film, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("snippet", "shown", "page"), SNIPPETS)
+def test_a_snippet_runs(snippet, shown, page, film, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("scenes").symlink_to(ROOT / "scenes")
     Path("out").mkdir()
-    for large, little in SMALL.items():
-        snippet = snippet.replace(large, little)
+    for name, text in files_of(page).items():
+        Path(name).write_text(text)
     monkeypatch.setattr(logging, "basicConfig", lambda **_: None)  # it would stay for other tests
     with warnings.catch_warnings():
         exec(compile(snippet, "<snippet>", "exec", dont_inherit=True), {"__name__": "snippet"})
+    assert shown in ("", capsys.readouterr().out)
 
 
 def test_the_snippets_are_found():
     assert len(SNIPPETS) > 5
+    assert any(snippet.values[1] for snippet in SNIPPETS)

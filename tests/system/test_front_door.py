@@ -11,7 +11,7 @@ from support.paths import ROOT
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 TARGETS = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.M))
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 FOLDERS = "node|emulator|host|tests|benchmarks|scenes|docs"
 NAMED = re.compile(rf"(?<![\w/.-])((?:{FOLDERS})(?:/[\w.*-]+)+/?)")
 
@@ -45,8 +45,10 @@ def test_paths_are_found():
 
 
 def test_the_map_has_every_page():
-    linked = set(re.findall(r"\]\(([\w-]+\.md)\)", (ROOT / "docs" / "index.md").read_text()))
-    assert linked == {page.name for page in (ROOT / "docs").glob("*.md")} - {"index.md"}
+    docs = ROOT / "docs"
+    linked = set(re.findall(r"\]\(([\w/-]+\.(?:md|ipynb))\)", (docs / "index.md").read_text()))
+    there = {page.relative_to(docs).as_posix() for kind in ("*.md", "*.ipynb") for page in docs.rglob(kind)}
+    assert linked == there - {"index.md"}
 
 
 def test_one_target_checks_all():
@@ -62,8 +64,8 @@ def test_a_forge_calls_the_same_target_on_the_oldest_and_newest_python():
     assert re.findall(r"- run: (.*)", job) == ["make check", "make ${{ matrix.target }}"]
     assert re.findall(r"target: \[(.*)\]", job) == ["check-oldest, check-newest"]
     assert {"check-oldest", "check-newest"} <= TARGETS
-    python = "Programming Language :: Python :: "
-    known = [known.removeprefix(python) for known in PROJECT["classifiers"] if known.startswith(python)]
+    python = re.compile(r"Programming Language :: Python :: (3\.\d+)")
+    known = [found[1] for known in PROJECT["classifiers"] if (found := python.fullmatch(known))]
     assert re.findall(r'python: \["(.*)", "(.*)"\]', job) == [(known[0], known[-1])]
     assert PROJECT["requires-python"] == f">={known[0]}"
 

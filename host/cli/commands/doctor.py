@@ -208,7 +208,7 @@ def _left(name: str, one: LimitFacts) -> str:
 def _place_lines(places: LocationFacts) -> Iterator[str]:
     sockets = [f"{base} ({why or 'usable'})" for base, why in places["sockets"].items()]
     yield from _entry("sockets in", ", else ".join(sockets))
-    ffmpeg = places["ffmpeg"] or "not found, so no .mp4"
+    ffmpeg = places["ffmpeg"] or "not found, so no .mp4: pip install 'raygrid[mp4]'"
     yield from _entry("temporary", f"{places['temporary'] or 'no directory can be written'}; ffmpeg: {ffmpeg}")
 
 

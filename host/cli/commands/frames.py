@@ -53,7 +53,7 @@ class _Outcome:
         if (said := picture.blank()) is not None:
             self.blank.setdefault(said, []).append(int(files.frame or 0))
         files.write(picture)
-        self.written += files.single
+        self.written += [*files.single, *(file for file, _ in files.layers)]
         self.traced += picture.stats["wall_seconds"]["trace"]
 
 
@@ -106,6 +106,8 @@ def _check_names(request: RenderRequest) -> FrameNames:
     for output in names.of(longest):
         check_named(output)
         check_picture_path(output)
+    for file, _ in names.layers_of(longest):
+        check_named(file)
     if names.stats is not None:
         check_named(path_of(names.stats, longest))
     if len(names.played) > len(set(names.played)):

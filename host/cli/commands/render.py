@@ -43,6 +43,11 @@ def run_render(request: RenderRequest) -> None:
         for output in pictures:
             reporter.phase(f"writing {output}")
             encoding.save(output)
+        layers = request.names.layers_of(None)
+        for file, layer in layers:
+            from raygrid.host.image.layer_pictures import save_layer
+
+            save_layer(file, layer, picture.layers[layer])
         seconds = picture.stats["wall_seconds"]
         seconds["whole"] = round(time.perf_counter() - begun, 6)
         if stats is not None:
@@ -57,7 +62,7 @@ def run_render(request: RenderRequest) -> None:
             from raygrid.host.cli.profile_table import profile_table
 
             reporter.table(profile_table(picture.stats["nodes"]))
-    write_names(pictures, [*pictures, stats])
+    write_names([*pictures, *(file for file, _ in layers)], [*pictures, stats])
 
 
 def _render(
@@ -132,6 +137,8 @@ def _read_job(
 def _check_outputs(request: RenderRequest, pictures: list[str], stats: str | None) -> None:
     for output in pictures:
         check_picture_path(output)
+    for file, _ in request.names.layers_of(None):
+        check_path(file)
     if stats is not None:
         check_path(stats)
     for path in request.probed:

@@ -33,6 +33,7 @@ class RenderRequest(NamedTuple):
     resume    skip frames of a shot whose files are there
     program   path of a program that the nodes are to run, or None
     allow_programs  whether the array takes programs
+    layers    that pictures are to have besides
     probe_record, chrome_trace   paths of what probes tell `probe_rate` times a second, or None
     """
 
@@ -59,6 +60,7 @@ class RenderRequest(NamedTuple):
     chrome_trace: str | None = None
     probe_rate: float = 10.0
     resume: bool = False
+    layers: tuple[str, ...] = ()
 
     @property
     def of_shot(self) -> bool:
@@ -69,7 +71,7 @@ class RenderRequest(NamedTuple):
     def names(self) -> FrameNames:
         """The names of all files that frames have. Raises OutputError for those that cannot be."""
         shot = self.of_shot
-        return FrameNames.checked(self.outputs, self.stats, self.frames if shot else None, shot)
+        return FrameNames.checked(self.outputs, self.stats, self.frames if shot else None, shot, self.layers)
 
     @property
     def probed(self) -> list[str]:
@@ -91,9 +93,8 @@ class RenderRequest(NamedTuple):
         from raygrid.host.render.job import Settings
         from raygrid.host.render.program_file import read_program
 
-        return Settings(
-            **parted(self.settings)[0], program=None if self.program is None else read_program(self.program)
-        )
+        program = None if self.program is None else read_program(self.program)
+        return Settings(**parted(self.settings)[0], program=program, layers=self.layers)
 
     def note_read(self) -> None:
         """Note what is named to be read, before it is: no output may be one of them."""

@@ -85,21 +85,23 @@ def _start(launch: UpRequest, reporter: ProgressReporter) -> ReadyFacts:
     arguments += ["--batch", str(launch.batch), "--patience", str(launch.patience)]
     arguments += ["--programs"] * launch.allow_programs + ["--outside"] * launch.allow_outside
     arguments += [] if launch.prometheus is None else ["--prometheus", str(launch.prometheus)]
+    process: subprocess.Popen[bytes] | None = None
     try:
-        # -P: modules that happen to lie where the user stands are not what the service imports.
-        process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "raygrid.host.service.process", *arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            start_new_session=True,
-        )
-    except OSError as error:
-        raise ArrayError(f"the service cannot be started with {sys.executable!r}: {error}") from error
-    try:
+        with _signals_held():  # or Ctrl-C while it is forked would leave it behind
+            # -P: modules that happen to lie where the user stands are not what the service imports.
+            process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "raygrid.host.service.process", *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                start_new_session=True,
+            )
         ready = _listen(process, launch.name, reporter)
-    except BaseException:
-        _end(process)
+    except BaseException as error:
+        if process is not None:
+            _end(process)
+        elif isinstance(error, OSError):
+            raise ArrayError(f"the service cannot be started with {sys.executable!r}: {error}") from error
         raise
     process.returncode = 0  # it lives on, and nobody waits for it
     return ready
@@ -142,16 +144,27 @@ def _end(process: subprocess.Popen[bytes]) -> None:
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+        for stream in (process.stdout, process.stderr):
+            if stream is not None:
+                stream.close()
 
 
 @contextlib.contextmanager
 def _signals_held() -> Iterator[None]:
-    """A second Ctrl-C waits until this is over."""
-    held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
+    """What asks the program to end waits until this is over. A mask would not do: it holds for one thread, and Python lets
+    the main thread answer for all."""
+    came: list[int] = []
+    before = {}
+    with contextlib.suppress(ValueError):  # only the main thread may, and nothing is raised in others
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            before[number] = signal.signal(number, lambda number, _: came.append(number))
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, held)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if came:
+            signal.raise_signal(came[0])
 
 
 def _text(shape: tuple[int, int, int]) -> str:

@@ -261,9 +261,9 @@ class _GltfReader:
         tints = self._tints(primitive["attributes"], material, faces)
         if tints is not None:
             rows, index = bake(material.row, tints, TINTED)
-            return self.builder.add_materials(rows, baked=True) + index
+            return self.builder.add_materials(rows, baked=True, names=material.name) + index
         if id(material) not in self._numbers:
-            self._numbers[id(material)] = self.builder.add_materials(material.row)
+            self._numbers[id(material)] = self.builder.add_materials(material.row, names=material.name)
         return np.full(len(faces), self._numbers[id(material)], np.int64)
 
     def _tints(self, attributes: JsonObject, material: GltfMaterial, faces: Ints) -> Bytes | None:

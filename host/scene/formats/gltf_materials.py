@@ -33,11 +33,12 @@ TINTED = ("diffuse", "specular", "transmission")  # all that base colour multipl
 
 @dataclass(frozen=True)
 class GltfMaterial:
-    """One material: a row, MATERIAL (1,), the texture that tints it, and which texture coordinates that takes."""
+    """One material: a row, MATERIAL (1,), the texture that tints it, which texture coordinates that takes, and its name."""
 
     row: Table
     texture: Texture | None = None
     coordinates: str = "TEXCOORD_0"
+    name: str = ""
 
 
 @dataclass(frozen=True)
@@ -105,10 +106,11 @@ class Materials:
         numbers = GltfNumbers(base, metal, rough, mixed, row.get("alphaMode") == "BLEND", passing, ior)
         glows = any(row.get("emissiveFactor", ())) or "KHR_materials_unlit" in extensions
         shaded = numbers.row(name, glows, self._remarks, extensions.get("KHR_materials_specular", {}))
+        called = str(row.get("name", ""))
         if "baseColorTexture" not in pbr:
-            return GltfMaterial(shaded)
+            return GltfMaterial(shaded, name=called)
         texture, coordinates = self._texture(pbr["baseColorTexture"])
-        return GltfMaterial(shaded, texture, coordinates)
+        return GltfMaterial(shaded, texture, coordinates, called)
 
     def _texture(self, info: JsonObject) -> tuple[Texture, str]:
         if "KHR_texture_transform" in info.get("extensions", {}):

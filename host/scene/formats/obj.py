@@ -172,7 +172,8 @@ class ObjReader:
             tints = self._tints(mtl, used[mine], colours)
             row = mtl.row if mtl is not None else GREY if tints is None else WHITE
             rows, index = (row, np.zeros(1, np.int64)) if tints is None else bake(row, tints)
-            numbers[mine] = builder.add_materials(rows, baked=tints is not None) + index
+            called = as_text(name)
+            numbers[mine] = builder.add_materials(rows, baked=tints is not None, names=called) + index
         if missing and library:
             builder.remarks.append(f"grey used for unknown materials: {', '.join(missing[:5])}")
         return numbers

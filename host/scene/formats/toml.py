@@ -66,7 +66,7 @@ class TomlReader:
         self.text = text
         self.file = file
         self.builder = SceneBuilder(str(path))
-        self.materials = {name: self._add_material(m) for name, m in file.materials.items()}
+        self.materials = {name: self._add_material(name, m) for name, m in file.materials.items()}
         self.grey: int | None = None
         self.moving: list[tuple[int, int, str]] = []  # order numbers, first and end, and their group
 
@@ -200,8 +200,8 @@ class TomlReader:
         self._add_scene(base, np.eye(3), (0.0, 0.0, 0.0), None)
         return base
 
-    def _add_material(self, m: schema.Material) -> int:
-        return self.builder.add_materials(_material(m), apart=bool(m.keys) or m.rule is not None)
+    def _add_material(self, name: str, m: schema.Material) -> int:
+        return self.builder.add_materials(_material(m), apart=bool(m.keys) or m.rule is not None, names=name)
 
     def _material(self, name: str | None, key: Key) -> int:
         if name is not None:
@@ -267,7 +267,8 @@ class TomlReader:
 
     def _add_scene(self, scene: Scene, matrix: F64, shift: tuple[float, ...], override: int | None) -> None:
         """Add the surfaces of another file, with its own materials or one for all."""
-        first = 0 if override is not None else self.builder.add_materials(scene.materials)
+        names = scene.material_names or ""
+        first = 0 if override is not None else self.builder.add_materials(scene.materials, names=names)
         begin = self.builder.next_order
         for batch in scene.surfaces:
             data = moved(batch, matrix, shift)

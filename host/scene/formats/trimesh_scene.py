@@ -115,7 +115,7 @@ class _TrimeshReader:
     def _materials(self, mesh: trimesh.Trimesh, faces: Ints, where: str) -> Ints:
         """The material of each triangle: by its texture or the colours of faces or vertices, else one for all."""
         visual: Any = mesh.visual
-        row, tinted, tints = GREY, PLAINLY_TINTED, None
+        row, tinted, tints, name = GREY, PLAINLY_TINTED, None, ""
         if visual.kind == "face":
             row, tints = WHITE, _colours(visual.face_colors, len(faces), f"{where}: the colours of faces")
         elif visual.kind == "vertex":
@@ -123,14 +123,15 @@ class _TrimeshReader:
             row, tints = WHITE, np.round(colours[faces].mean(axis=1)).astype(np.uint8)
         elif getattr(visual, "material", None) is not None:
             row, tinted, picture = self._material(visual.material, where)
+            name = str(getattr(visual.material, "name", None) or "")
             if picture is not None and visual.uv is not None and len(visual.uv):
                 uv = _table(visual.uv, 2, f"{where}: the texture coordinates", len(mesh.vertices))[faces]
                 texture = self._texture(picture, where)
                 tints = texture.under(np.stack((uv[..., 0], 1.0 - uv[..., 1]), axis=2))  # (0, 0) is at the lower left
         if tints is None:
-            return np.full(len(faces), self.builder.add_materials(row))
+            return np.full(len(faces), self.builder.add_materials(row, names=name))
         rows, index = bake(row, tints, tinted)
-        return self.builder.add_materials(rows, baked=True) + index
+        return self.builder.add_materials(rows, baked=True, names=name) + index
 
     def _material(self, material: Any, where: str) -> tuple[Table, tuple[str, ...], Any]:
         """A row, which of its fields a texture tints, and the picture of that, None if there is none."""

@@ -141,6 +141,21 @@ def test_it_is_removed_with_all_that_is_in_it(base, error):
     place.remove()  # once more does no harm
 
 
+def test_it_is_removed_though_a_socket_is_made_in_it_meanwhile(base, monkeypatch):
+    made, rmdir = [], os.rmdir
+
+    def late(path, **options):
+        if not made:
+            made.append(Path(path, "0-0,0,0h"))
+            made[0].touch()
+        rmdir(path, **options)
+
+    with SocketDirectory.create((2, 2, 2)) as place:
+        monkeypatch.setattr(os, "rmdir", late)
+    assert made
+    assert not os.path.lexists(place.path)
+
+
 def test_a_fork_does_not_remove_it(base):
     with SocketDirectory.create((1, 1, 1)) as place:
         fork = os.fork()

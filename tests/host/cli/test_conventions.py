@@ -127,3 +127,15 @@ def test_what_is_printed_for_bash_defines_the_completion():
     assert said.stdout == "complete -o nosort -F _raygrid_completion raygrid\n"
     for shell in ("zsh", "fish"):
         assert "_RAYGRID_COMPLETE" in here("completion", shell).out
+
+
+@pytest.mark.parametrize(
+    ("begun", "wanted"),
+    [
+        ("", ["depth", "normal", "surface", "material"]),
+        ("depth,", ["depth,normal", "depth,surface", "depth,material"]),
+        ("depth,ma", ["depth,material"]),
+    ],
+)
+def test_layers_are_completed_one_after_the_other(begun, wanted):
+    assert completed("render", "--layers", begun) == [f"plain,{value}" for value in wanted]

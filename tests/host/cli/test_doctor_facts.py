@@ -17,6 +17,7 @@ from support.paths import ROOT
 
 from raygrid.emulator.topology import UNLIMITED, Bound, Resources
 from raygrid.host.cli import doctor_facts
+from raygrid.host.image.ffmpeg import SHIPS
 from raygrid.node.jit import cache, fast_load, trusted_files
 from raygrid.node.links import zmq_c_api
 
@@ -306,4 +307,5 @@ def test_no_temporary_directory_at_all(monkeypatch):
 
 def test_without_ffmpeg(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setitem(sys.modules, SHIPS, None)
     assert doctor_facts.read_places()["ffmpeg"] is None

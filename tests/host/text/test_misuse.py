@@ -17,6 +17,7 @@ from raygrid.host.cli.types import (
     EdgesType,
     FaultType,
     FileName,
+    LayersType,
     NumberType,
     PairType,
     ShapeType,
@@ -37,6 +38,7 @@ BAD: list[tuple[type[click.ParamType], list[str]]] = [
     (FileName, ["", "a\0b"]),
     (NumbersType, [*WORDS, "1", "1,2", "1,2,3,4", "1,2,3,4,5,6,7", "1;2;3", "1,,2", "1,2,nan", "1,2,inf", "1,2,1e31"]),
     (CameraName, ["", "x" * 1001]),
+    (LayersType, [*WORDS, "dept", "depth,", "depth,,normal", "depth;normal", "Depth"]),
     (click.Choice, WORDS),
 ]
 # What a command needs besides the option under test.

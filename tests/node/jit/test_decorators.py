@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from raygrid.node.jit.decorators import kernel, part, piece
+from raygrid.node.jit.value_types import type_of
 
 pytestmark = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
 
@@ -48,9 +49,12 @@ SCALED = Scaled(np.arange(4.0), 3.0)
 
 def test_kernels_call_them_and_python_has_no_wrapper_of_theirs():
     assert summed(SCALED) == 18.0
-    for inner in (scaled_at, made_of):
-        (result,) = inner.overloads.values()
-        assert result.fndesc.llvm_cpython_wrapper_name not in result.library.get_llvm_str()
+    for function, arguments in ((scaled_at, (SCALED, 0)), (made_of, (SCALED,)), (summed, (SCALED,))):
+        kinds = tuple(map(type_of, arguments))
+        function.compile(kinds)
+        result = function.overloads[kinds]
+        wrapper = result.library.get_pointer_to_function(result.fndesc.llvm_cpython_wrapper_name)
+        assert bool(wrapper) == (function is summed)
 
 
 @pytest.mark.parametrize("first", ["python", "kernel"])

@@ -25,7 +25,7 @@ from raygrid.node.protocol.commands import (
     read_trace,
     space_order,
 )
-from raygrid.node.protocol.frame_tables import LIGHT_COLUMNS, MATERIAL_COLUMNS, Frame
+from raygrid.node.protocol.frame_tables import LAYER_NONE, LAYER_SURFACE, LIGHT_COLUMNS, MATERIAL_COLUMNS, Frame
 from raygrid.node.protocol.messages import MAX_MESSAGE, MessageKind, pack_order, read_order
 from raygrid.node.protocol.packets import MAX_LIGHTS
 
@@ -209,3 +209,14 @@ def test_a_command_to_trace_is_read_as_it_was_written():
 )
 def test_a_hold_that_is_none_is_no_hold(hold, seconds):
     assert read_hold({"hold": hold}) == seconds
+
+
+def test_a_layer_is_one_of_those_there_are_and_has_one_sample_a_pixel():
+    layer = frame_order(small_frame(samples=1, layer=LAYER_SURFACE))
+    assert read_frame(sent(layer)).layer == LAYER_SURFACE
+    assert read_frame(sent(FRAME)).layer == LAYER_NONE
+    for wrong in (-1, LAYER_SURFACE + 1, 1.0, True, None):
+        with pytest.raises(ProtocolError, match=f"^a frame came with layer {wrong!r}, wanted 0 to 3$"):
+            read_frame(sent({**layer, "layer": wrong}))
+    with pytest.raises(ProtocolError, match=r"^a layer came with 4 samples a pixel, wanted 1$"):
+        read_frame(sent({**layer, "samples": 4}))

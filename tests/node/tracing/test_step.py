@@ -164,9 +164,9 @@ def check_no_ray_differs(seed: int, step: str, n_rays: int) -> None:
         np.testing.assert_array_equal(grid.counts()[BORN:SENT], counts[BORN:SENT])
 
 
-@pytest.mark.parametrize(("step", "seed"), [("even", 1), ("even", 2), ("askew", 1), ("flat", 1), ("rod", 1)])
+@pytest.mark.parametrize(("step", "seed"), [("even", 1), ("askew", 2), ("flat", 1), ("rod", 1)])
 def test_no_ray_differs_between_shapes(step, seed):
-    check_no_ray_differs(seed, step, 10_000)
+    check_no_ray_differs(seed, step, 6_000)
 
 
 @pytest.mark.slow

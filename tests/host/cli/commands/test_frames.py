@@ -21,6 +21,7 @@ from raygrid.emulator.driver.admission import Progress
 from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.host.cli.commands.frames import as_ranges
 from raygrid.host.cli.progress import ProgressReporter
+from raygrid.host.image.ffmpeg import SHIPS, find_ffmpeg
 from raygrid.host.image.moving_pictures import Reel, waiting
 from raygrid.host.image.resume_check import KEYWORD
 from raygrid.host.render.animation_jobs import jobs_of
@@ -226,9 +227,9 @@ def test_the_progress_of_a_shot_is_that_of_all_its_frames():
 @pytest.fixture
 def ffmpeg():
     """The real one."""
-    program = shutil.which("ffmpeg")
+    program = find_ffmpeg()
     if program is None:
-        pytest.skip("there is no ffmpeg here: apt-get install ffmpeg")
+        pytest.skip("there is no ffmpeg here: apt-get install ffmpeg, or pip install 'raygrid[mp4]'")
     return program
 
 
@@ -348,10 +349,12 @@ def test_a_film_is_given_up_at_once(tmp_path, monkeypatch):
 
 def test_without_ffmpeg_that_is_said_before_the_work(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setitem(sys.modules, SHIPS, None)
     one_line(
         here("render", MOBILE, *SMALL, "-o", str(tmp_path / "x.mp4")),
         1,
-        r"raygrid: .*x.mp4: there is no ffmpeg on this computer.*",
+        r"raygrid: .*x.mp4: there is no ffmpeg on this computer, wanted it for .mp4 "
+        r"\(or the extra: pip install 'raygrid\[mp4\]'\), or .gif or .webp instead",
     )
 
 
