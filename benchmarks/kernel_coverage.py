@@ -51,7 +51,7 @@ SUITES = (
     Suite(
         "tests/node/tracing/test_primaries.py", "packets_of_primary or middle_of_its_pixel or without_pixels or one_row"
     ),
-    *_suites("tracing", "primary_rays ray_setup step_by_hand ray_classify spawn"),
+    *_suites("tracing", "primary_rays ray_setup step_by_hand ray_classify spawn layer_values"),
     *_suites("tracing", "framebuffer work_queues background no_direction"),
     *_suites("protocol", "packets messages commands timestamps framing"),
     *_suites("geometry", "bvh_refit rounded spanning_tree quaternion"),

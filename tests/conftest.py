@@ -20,6 +20,8 @@ from raygrid.node.jit.switches import SWITCHES
 __all__ = ["no_leftovers"]  # for the single tests of files that start processes
 
 TIMEOUT, SLOW_TIMEOUT = 300, 900  # seconds; a first run compiles
+if os.environ.get("NUMBA_DISABLE_JIT") == "1":
+    TIMEOUT = SLOW_TIMEOUT  # without a compiler tests of many cases take minutes on a busy computer
 
 settings.register_profile("steady", steady(100))
 settings.load_profile("steady")
