@@ -90,7 +90,7 @@ def examine() -> DoctorFacts:
 def _stops(paths: dict[str, FastPath] | None, places: LocationFacts) -> Iterator[str]:
     """What keeps an array from running, and what helps."""
     if paths is not None and not paths["compiled kernels"]["on"]:
-        yield f"kernels run compiled only, and {paths['compiled kernels']['why']}: unset it"
+        yield f"kernels are interpreted, which is far slower ({paths['compiled kernels']['why']}): unset it"
     if None not in places["sockets"].values():
         tried = ", ".join(f"{base} ({why})" for base, why in places["sockets"].items())
         yield f"no directory for sockets ({tried}): set XDG_RUNTIME_DIR to one that is short, and yours alone"

@@ -45,7 +45,7 @@ def test_every_declared_library_is_told_with_its_version():
 
 def test_every_extra_is_told():
     declared = PROJECT["optional-dependencies"]
-    assert {name: {bare(one) for one in declared[name]} for name in set(declared) - {"test", "dev"}} == {
+    assert {name: {bare(one) for one in declared[name]} for name in set(declared) - {"test", "dev", "docs"}} == {
         extra: {bare(name) for name in names} for extra, names in doctor_facts.EXTRAS.items()
     }
 
