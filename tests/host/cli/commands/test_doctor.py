@@ -107,7 +107,9 @@ def test_no_compiler(monkeypatch):
     monkeypatch.setattr(fast_load.config, "DISABLE_JIT", 1)
     done = here("doctor")
     assert done.code == 1
-    assert "PROBLEM: kernels are interpreted, which is far slower (NUMBA_DISABLE_JIT asks for it): unset it" in said(done)
+    assert "PROBLEM: kernels are interpreted, which is far slower (NUMBA_DISABLE_JIT asks for it): unset it" in said(
+        done
+    )
 
 
 @pytest.mark.parametrize(
