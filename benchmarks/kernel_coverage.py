@@ -42,11 +42,13 @@ def _suites(folder: str, names: str) -> tuple[Suite, ...]:
 
 
 # those that take longest first. Left out are whole pictures on many shapes (tests/node/tracing/test_step.py: an hour without
-# a compiler), and what is about numba, caches and processes; test_interpreted has the whole machine instead
+# a compiler), trees of many boxes (test_bvh.py: more than eight minutes), and what is about numba, caches and processes;
+# test_interpreted has the whole machine instead
 SUITES = (
     Suite("tests/system/test_interpreted.py"),
-    *_suites("geometry", "bvh grid_walk power overlap intersect lattice"),
-    *_suites("runtime", "event_loop waves timers profile"),
+    *_suites("geometry", "grid_walk power overlap intersect lattice"),
+    *_suites("runtime", "event_loop waves timers"),
+    Suite("tests/node/runtime/test_profile.py", "not parts_are_those"),  # a frame of processes, which takes minutes so
     Suite("tests/node/runtime/test_reduction.py", "after_the_same_work or python_does_not or range or length"),
     Suite(
         "tests/node/tracing/test_primaries.py", "packets_of_primary or middle_of_its_pixel or without_pixels or one_row"
@@ -55,7 +57,7 @@ SUITES = (
     *_suites("tracing", "framebuffer work_queues background no_direction"),
     *_suites("protocol", "packets messages commands timestamps framing"),
     *_suites("geometry", "bvh_refit rounded spanning_tree quaternion"),
-    *_suites("jit", "formula intrinsics records switches indirect"),
+    *_suites("jit", "formula intrinsics records switches"),
     *_suites("links", "link link_flow control_channel"),
     Suite("tests/node/programs/test_powers.py"),
     Suite("tests/node/programs/test_programs.py", "background_is_seen"),
