@@ -71,10 +71,15 @@ check-oldest: ## a telling part of the tests with the oldest libraries that pypr
 check-newest: ## the same with the newest, releases to come too, in build/newest
 	@$(MAKE) --no-print-directory check-versions OF=newest CHOOSE='--pre --upgrade --upgrade-strategy eager'
 
+# an environment in build/, by its name and what pip is told beside the project
+define ENVIRONMENT
+	$(PYTHON) -m venv build/$(1)
+	PYTHONWARNINGS=ignore build/$(1)/bin/python -m pip install --quiet --upgrade pip
+	PYTHONWARNINGS=ignore build/$(1)/bin/python -m pip install --quiet $(2) --editable '.[test]'
+endef
+
 check-versions:
-	$(PYTHON) -m venv build/$(OF)
-	PYTHONWARNINGS=ignore build/$(OF)/bin/python -m pip install --quiet --upgrade pip
-	PYTHONWARNINGS=ignore build/$(OF)/bin/python -m pip install --quiet $(CHOOSE) --editable '.[test]'
+	$(call ENVIRONMENT,$(OF),$(CHOOSE))
 	build/$(OF)/bin/python -m pip list | grep -iE '^(numpy|numba|llvmlite|pyzmq|xxhash|msgpack) '
 	RAYGRID_CACHE=$(CURDIR)/build/$(OF)/kernels $(subst $(BIN),build/$(OF)/bin,$(PYTEST)) -m "not slow" $(TELLING)
 
@@ -90,9 +95,7 @@ check-bounds: $(STAMP) ## tests of kernels, and some pictures, with every index 
 
 # in an environment of its own: numba imports coverage wherever it is installed
 check-interpreted: ## tests without a compiler, and how much of the kernels they run, in build/interpreted
-	$(PYTHON) -m venv build/interpreted
-	PYTHONWARNINGS=ignore build/interpreted/bin/python -m pip install --quiet --upgrade pip
-	PYTHONWARNINGS=ignore build/interpreted/bin/python -m pip install --quiet 'coverage>=7.6' --editable '.[test]'
+	$(call ENVIRONMENT,interpreted,'coverage>=7.6')
 	build/interpreted/bin/python benchmarks/kernel_coverage.py --least 95
 
 wheel-check: $(STAMP) ## build the wheel, install it into an empty environment, and use it there

@@ -64,8 +64,8 @@ def _writer(path: str, layer: str, values: Layer, texts: Mapping[str, str] | Non
 def layer_picture(layer: str, values: Layer) -> Bytes:
     """Show a layer as a picture to look at, uint8 (height, width, 3): black where there is no surface.
 
-    Depths are grey, the nearest white; of normals x, y and z from -1 to 1 are red, green and blue from 0 to 255; each number
-    of a surface or material has a colour of its own, which is the same in every picture.
+    Depths are grey, the nearest white; of normals x, y and z from -1 to 1 are red, green and blue from 0 to 255. The
+    colour of a number of a surface or material depends on it alone, and of thousands some are alike.
     """
     if layer == "depth":
         return _greys(values)

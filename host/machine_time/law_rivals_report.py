@@ -90,7 +90,9 @@ def rivals_figure(fits: Sequence[RivalFit]) -> Figure:
             axis.legend(fontsize=8)
     axes.flat[0].set_ylabel("T by the law / T simulated")
     told = "each scene told by the fit to the others"
-    if not all(fit.by_others.all() for fit in fits):
+    if fits and not any(fit.by_others.any() for fit in fits):
+        told = "told by the fit to all"
+    elif not all(fit.by_others.all() for fit in fits):
         told += f", by the fit to all where these have fewer than {LEAST_POINTS} frames"
     figure.suptitle(f"{told}; hollow: few rays, not fitted", fontsize=9)
     return figure

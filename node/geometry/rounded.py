@@ -99,9 +99,11 @@ def acos(cosine: float) -> float:
 
 
 def power(base: float, exponent: float) -> float:
-    """A power of a finite number above 0, or 0 of 0. Raises ValueError for another base, and exponents from 1e6 on."""
+    """A power of a finite number above 0, or 0 of 0. Raises ValueError for another base, and exponents from -1e6 down or 1e6 up."""
     if not (0.0 <= base < float("inf") and abs(exponent) < 1e6) or (base == 0.0 and exponent <= 0.0):
-        raise ValueError(f"{base} to the power {exponent} came, wanted a finite base above 0 and an exponent below 1e6")
+        raise ValueError(
+            f"{base} to the power {exponent} came, wanted a finite base above 0 and an exponent between -1e6 and 1e6"
+        )
     if base == 0.0:
         return 0.0
     return float(DIGITS.exp(DIGITS.multiply(DIGITS.ln(Decimal(base)), Decimal(exponent))))

@@ -210,12 +210,7 @@ def apart(name: str) -> Iterator[str]:
     before = DIRECTORY
     if before is None:
         raise OSError(f"there is no directory for compiled code ({KEEPING.why}); {REMEDY}")
-    inner = Path(before) / name
-    make_private(inner)
-    why = why_not_trusted(str(inner))
-    if why is not None:
-        raise OSError(f"{inner} is {why}; remove it, or {REMEDY}")
-    DIRECTORY = str(inner)
+    DIRECTORY = _made(before, name)
     try:
         yield DIRECTORY
     finally:
@@ -224,14 +219,19 @@ def apart(name: str) -> Iterator[str]:
 
 def within(directory: DirectoryName, name: str) -> DirectoryName:
     """A directory of this name in a directory of kernels; None if it cannot be used."""
-    if directory is None:
-        return None
-    inner = Path(directory) / name
     try:
-        make_private(inner)
-        return None if why_not_trusted(str(inner)) else str(inner)
+        return None if directory is None else _made(directory, name)
     except OSError:
         return None
+
+
+def _made(directory: str, name: str) -> str:
+    inner = Path(directory) / name
+    make_private(inner)
+    why = why_not_trusted(str(inner))
+    if why is not None:
+        raise OSError(f"{inner} is {why}; remove it, or {REMEDY}")
+    return str(inner)
 
 
 @contextlib.contextmanager

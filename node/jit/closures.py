@@ -13,7 +13,8 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
-# Makes a function of the same parts once. Only the last few are kept: a service may load one program after the other.
+# Makes a function of the same parts once. Only the last few steps are kept, as a service may load one program after the
+# other; what is a program's own stays with its module (`node.programs.programs`).
 made_of_parts = lru_cache(maxsize=8)
 _DIGITS = 12  # hexadecimal, of the digest
 

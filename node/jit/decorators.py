@@ -59,7 +59,10 @@ def _inner(function: Function, **options: Any) -> Function:
     def compile_for_python(*arguments: Any) -> Any:
         if not made:
             made.append(_dispatcher(function, cache.within(directory, CALLED), options))
-        return made[0]._compile_for_args(*arguments)
+        try:
+            return made[0]._compile_for_args(*arguments)
+        finally:
+            inner._types_active_call.clear()
 
     inner.add_overload, inner._compile_for_args = keep, compile_for_python
     return cast(Function, inner)

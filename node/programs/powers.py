@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
@@ -17,7 +18,7 @@ from numba import types
 from numba.extending import overload
 
 from raygrid.node.geometry.power import power
-from raygrid.node.jit.decorators import part
+from raygrid.node.jit.decorators import lean, part
 
 NAME = "_raygrid_power"  # by which a program's code calls `any_power`
 WRITTEN = {("math", "pow"), ("numpy", "power"), ("numpy", "float_power")}
@@ -34,13 +35,21 @@ def _signed(x, y):  # type: ignore[no-untyped-def]
     return power(-x, y) if half == np.floor(half) else -power(-x, y)
 
 
+@lean
+def _signed_each(x, y, found):  # type: ignore[no-untyped-def]
+    """Take the powers of numbers in rows."""
+    for k in range(len(x)):
+        found[k] = _signed(x[k], y[k])
+
+
 def any_power(x, y):  # type: ignore[no-untyped-def]  # numba wants the same parameters below
     """What programs call for a power. In plain Python, too, as what a program's text works out is a constant of its code."""
     if isinstance(y, int | np.integer):
         return x**y
-    if np.ndim(x) or np.ndim(y):
-        return np.vectorize(_signed, otypes=[np.float64])(x, y)
-    return _signed(float(x), float(y))
+    bases, exponents = (np.ascontiguousarray(one) for one in np.broadcast_arrays(np.float64(x), np.float64(y)))
+    found = np.empty(bases.shape)
+    _signed_each(bases.reshape(-1), exponents.reshape(-1), found.reshape(-1))
+    return found if np.ndim(x) or np.ndim(y) else float(found.reshape(-1)[0])
 
 
 def _typed(x, y):  # type: ignore[no-untyped-def]
@@ -58,8 +67,34 @@ def _make_known() -> None:
 class _Powers(ast.NodeTransformer):
     """Writes a call of NAME wherever a program takes a power."""
 
-    def __init__(self, modules: dict[str, str]) -> None:
+    def __init__(self, modules: dict[str, str], powers: set[str]) -> None:
         self._modules = modules  # name in the program -> module
+        self._powers = powers  # names that are powers here
+
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
+        node.decorator_list = [self.visit(one) for one in node.decorator_list]
+        node.args = self.visit(node.args)  # defaults are worked out outside
+        with self._within(node):
+            node.body = [self.visit(one) for one in node.body]
+        return node
+
+    def visit_Lambda(self, node: ast.Lambda) -> ast.AST:
+        node.args = self.visit(node.args)
+        with self._within(node):
+            node.body = self.visit(node.body)
+        return node
+
+    @contextmanager
+    def _within(self, function: ast.FunctionDef | ast.Lambda) -> Iterator[None]:
+        """In a function, its parameters and variables are no powers, whatever their names."""
+        before = self._powers
+        self._powers = before - set(_names_given(function))
+        yield
+        self._powers = before
+
+    def visit_Name(self, node: ast.Name) -> ast.AST:
+        is_power = isinstance(node.ctx, ast.Load) and node.id in self._powers
+        return ast.copy_location(_name(), node) if is_power else node
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.AST:
         self.generic_visit(node)
@@ -94,15 +129,19 @@ def _is_whole(exponent: ast.expr) -> bool:
     return isinstance(value, ast.Constant) and isinstance(value.value, int)
 
 
-def _names_given(tree: ast.Module) -> Iterator[str]:
-    """The names that a program gives to things of its own: functions, parameters and variables, wherever they are."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.FunctionDef):
-            yield node.name
-        elif isinstance(node, ast.arg):
+def _names_given(scope: ast.Module | ast.FunctionDef | ast.Lambda) -> Iterator[str]:
+    """The names that a program, or a function, gives to things of its own: functions, parameters and variables."""
+    waiting = list(ast.iter_child_nodes(scope))
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.arg):
             yield node.arg
         elif isinstance(node, ast.Name) and not isinstance(node.ctx, ast.Load):
             yield node.id
+        elif isinstance(node, ast.FunctionDef):
+            yield node.name
+        if not isinstance(node, ast.FunctionDef | ast.Lambda):  # what is given in those is theirs
+            waiting.extend(ast.iter_child_nodes(node))
 
 
 def with_safe_powers(source: str, space: dict[str, Any]) -> ast.Module:
@@ -117,10 +156,7 @@ def with_safe_powers(source: str, space: dict[str, Any]) -> ast.Module:
     powers = {name for name, what in taken.items() if what in WRITTEN}
     own = set(_names_given(tree)) | (taken.keys() - powers)
     powers = (powers | {"pow"}) - own
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load) and node.id in powers:
-            node.id = NAME
     _make_known()
     space[NAME] = any_power
-    _Powers(modules).visit(tree)
+    _Powers(modules, powers).visit(tree)
     return ast.fix_missing_locations(tree)

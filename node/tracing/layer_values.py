@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from raygrid.node.jit.decorators import part
 from raygrid.node.protocol.frame_tables import LAYER_NORMAL, LAYER_SURFACE
+from raygrid.node.tracing.camera import eye_ray, image_point
 from raygrid.node.tracing.framebuffer import UNIT
 
 BASE = 65536  # of the digits into which whole numbers are cut
@@ -38,12 +39,11 @@ def layer_values(frame, sample, d, p, n, surface, material):
         return 1.0 + n[0], 1.0 + n[1], 1.0 + n[2]
     if frame.layer == LAYER_SURFACE:
         return np.float64(surface % BASE), np.float64(surface // BASE), np.float64(material + 1)
-    row = sample // frame.width
-    column = sample - row * frame.width
+    column, row = image_point(sample, frame.width, frame.samples)
+    eye, _ = eye_ray(frame.camera, column, row)
     distance = 0.0
     for k in range(3):
-        eye = frame.camera[0, k] + column * frame.camera[1, k] + row * frame.camera[2, k]
-        distance += (p[k] - eye) * d[k]
+        distance += (p[k] - eye[k]) * d[k]
     whole = math.floor(max(distance, 0.0))
     return 1.0 + np.float64(whole // BASE), np.float64(whole % BASE), max(distance, 0.0) - whole
 

@@ -323,7 +323,7 @@ def _make_step_each(parts: Parts) -> Function:
 
 @made_of_parts
 def make_step(parts: Parts) -> Function:
-    """Make the ray step of these parts. The same parts give the same step, which is compiled once."""
+    """Make the ray step of these parts. The same parts give the same step, while it is among the last that were made."""
     step_each = _make_step_each(parts)
 
     @lean
@@ -361,7 +361,7 @@ def make_step(parts: Parts) -> Function:
 
 
 step, observed_step = make_step(Parts()), make_step(Parts(observed=True))
-_step_ray, _step_shadow = _make_step_ray(Parts()), _make_step_shadow(meet, observed=False)
+_step_ray, _step_shadow = _make_step_ray(Parts()), _make_step_shadow(Parts().meet, Parts().observed)
 
 
 @part

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raygrid.emulator.driver.memory_array import MemoryArray
-from raygrid.emulator.simulator.simulator import digest_of
+from raygrid.emulator.simulator.simulator import Holding, digest_of, hold
+from raygrid.emulator.simulator.work_count import CellWork, count_cell_work, price_lists
 from raygrid.host.machine_time.cost_models import CostModel, load_cost_model
 from raygrid.host.machine_time.simulate import Simulated, simulate_job
 from raygrid.host.render.frame import render_job
@@ -55,6 +56,26 @@ def scene_of(name: str) -> Scene:
 def job_of(name: str, shape: Shape, size: tuple[int, int], split: str = "uniform", **settings: Any) -> Job:
     """A small frame of a scene."""
     return make_job(scene_of(name), shape, Settings(size=size, split=split, **settings))
+
+
+class Counted(NamedTuple):
+    """The work of cells, and what it was counted by; a row a cost model."""
+
+    holding: Holding
+    prices: list[Any]
+    walks: list[Any]
+    work: CellWork
+
+
+def counted(
+    space: Space, surfaces: SurfaceSet, frame: Frame, search: str, costs: tuple[str, ...], samples: float = 1e9
+) -> Counted:
+    """What each cell does for a frame, or for as many samples of it."""
+    holding = hold(space, surfaces, search)
+    models = [load_cost_model(name) for name in costs]
+    prices = [model.prices("middle", search) for model in models]
+    walks = [model.list_ticks("middle", search, holding.held) for model in models]
+    return Counted(holding, prices, walks, count_cell_work(holding, frame, price_lists(prices, walks), samples))
 
 
 class Setting(NamedTuple):

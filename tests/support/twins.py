@@ -24,19 +24,18 @@ from raygrid.emulator.driver.memory_array import MemoryArray
 from raygrid.emulator.partition import split
 from raygrid.emulator.processes.array import Array
 from raygrid.emulator.simulator import simulator
-from raygrid.emulator.simulator.simulator import hold
-from raygrid.emulator.simulator.work_count import count_cell_work, price_lists
 from raygrid.host.cli.trace import trace_pixel
-from raygrid.host.machine_time.cost_models import load_cost_model
 from raygrid.host.render.animation_jobs import jobs_of
 from raygrid.host.render.frame import render_job
 from raygrid.host.render.job import Job, Settings, make_job
 from raygrid.host.render.program_file import read_program
 from raygrid.host.scene.load import load_scene
+from raygrid.node.jit.switches import NATIVE_LINKS
+from raygrid.node.links.zmq_c_api import OLD_SWITCH
 from raygrid.node.timed import timed_processor
 from support import paths
 from support.motions import holdings
-from support.timed import Books, books_of, emulated, job_of, scene_of, simulated
+from support.timed import Books, books_of, counted, emulated, job_of, scene_of, simulated
 
 Facts = dict[str, Any]
 SECONDS = 800  # for all cases, with compiling; only a failing test takes as long
@@ -135,11 +134,7 @@ def work_count() -> Facts:
 
 
 def _work_of(job: Job) -> Facts:
-    holding = hold(job.space, job.surfaces, "list")
-    models = [load_cost_model(name) for name in ("8086", "t800")]
-    prices = [model.prices("middle", "list") for model in models]
-    walks = [model.list_ticks("middle", "list", holding.held) for model in models]
-    work = count_cell_work(holding, job.frame, price_lists(prices, walks), 1e9)
+    work = counted(job.space, job.surfaces, job.frame, "list", ("8086", "t800")).work
     return {name: _plain(getattr(work, name)) for name in ("busy", "sent", "born", "longest", "counts", "steps")}
 
 
@@ -188,9 +183,11 @@ def program() -> Facts:
 
 def processes() -> Facts:
     """Real processes with native links, of which each node is a loop in compiled code, or interpreted."""
-    with Array.launch((2, 1, 1), patience=SECONDS) as array:
-        picture = render_job(array.driver, job_of("kinds.nff", (2, 1, 1), SIZE, samples=1))
-    assert {node["served_by"] for node in picture.stats["nodes"]} != {"python"}
+    with mock.patch.dict(os.environ, {NATIVE_LINKS.variable: "1"}):  # also where the tests run without
+        os.environ.pop(OLD_SWITCH, None)
+        with Array.launch((2, 1, 1), patience=SECONDS) as array:
+            picture = render_job(array.driver, job_of("kinds.nff", (2, 1, 1), SIZE, samples=1))
+    assert [node["served_by"] for node in picture.stats["nodes"]] == ["compiled"] * 2
     return _told(picture)
 
 

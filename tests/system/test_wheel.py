@@ -76,7 +76,7 @@ def installed(wheel, tmp_path_factory):
 @pytest.fixture(scope="module")
 def complete(installed, wheel):
     """The same environment, with the libraries that pages name as extras."""
-    call(str(installed / "python"), "-m", "pip", "install", "--quiet", f"{wheel}[law,prometheus]")
+    call(str(installed / "python"), "-m", "pip", "install", "--quiet", f"{wheel}[law,prometheus,exr]")
     return installed
 
 

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import pytest
-from support.timed import job_of, rays_to_a_wall
+from support.timed import counted, job_of, rays_to_a_wall
 
 from raygrid.emulator.simulator import simulator
-from raygrid.emulator.simulator.simulator import hold
 from raygrid.emulator.simulator.work_count import (
     LEAST_ACROSS,
     MOST_ACROSS,
     check_count_fits,
-    count_cell_work,
     few_pixels,
     price_lists,
     steps_of_a_sample,
 )
 from raygrid.emulator.topology import limits
 from raygrid.emulator.topology.limits import Bound
-from raygrid.host.machine_time.cost_models import load_cost_model
 from raygrid.node.errors import TooLarge
 from raygrid.node.geometry.grid_walk import PORTS
 
@@ -31,18 +28,14 @@ CASES = [
 ]
 
 
-def counted(job, search, samples=1e9, costs=COSTS):
-    holding = hold(job.space, job.surfaces, search)
-    models = [load_cost_model(name) for name in costs]
-    prices = [model.prices("middle", search) for model in models]
-    walks = [model.list_ticks("middle", search, holding.held) for model in models]
-    return holding, prices, walks, count_cell_work(holding, job.frame, price_lists(prices, walks), samples)
+def counted_of(job, search, samples=1e9):
+    return counted(job.space, job.surfaces, job.frame, search, COSTS, samples)
 
 
 @pytest.mark.parametrize(("name", "shape", "search", "samples"), CASES)
 def test_whole_frames_cost_each_cell_what_the_simulator_has_it_do(name, shape, search, samples):
     job = job_of(name, shape, (30, 23), samples=samples)
-    holding, prices, walks, work = counted(job, search)
+    holding, prices, walks, work = counted_of(job, search)
     assert work.share == 1.0
     for row in range(len(COSTS)):
         phase, _ = simulator.trace(holding.model(job.frame), prices[row], walks[row])
@@ -57,11 +50,7 @@ def test_whole_frames_cost_each_cell_what_the_simulator_has_it_do(name, shape, s
 def test_a_sample_alone_takes_as_long_as_in_the_simulator(cells):
     """One ray that brings nothing home meets nobody, so the longest sample is the frame."""
     space, surfaces, frame = rays_to_a_wall((cells, 1, 1), 1)
-    holding = hold(space, surfaces, "list")
-    models = [load_cost_model(name) for name in COSTS]
-    prices = [model.prices("middle", "list") for model in models]
-    walks = [model.list_ticks("middle", "list", holding.held) for model in models]
-    work = count_cell_work(holding, frame, price_lists(prices, walks), 1)
+    holding, prices, walks, work = counted(space, surfaces, frame, "list", COSTS, samples=1)
     assert work.steps == cells
     for row in range(len(COSTS)):
         phase, _ = simulator.trace(holding.model(frame), prices[row], walks[row])
@@ -70,8 +59,8 @@ def test_a_sample_alone_takes_as_long_as_in_the_simulator(cells):
 
 def test_fewer_pixels_have_a_share_and_about_the_same_work():
     job = job_of("kinds.nff", (2, 2, 2), (160, 120))
-    *_, whole = counted(job, "list")
-    *_, some = counted(job, "list", 40 * 40)
+    *_, whole = counted_of(job, "list")
+    *_, some = counted_of(job, "list", 40 * 40)
     assert some.share == 160 * 120 / (40 * 40)
     assert some.busy.sum() * some.share == pytest.approx(whole.busy.sum(), rel=0.05)
 
@@ -94,7 +83,7 @@ def test_there_is_memory_for_whatever_is_asked_for(samples):
 
 def test_steps_of_a_sample_are_those_of_the_frame():
     job = job_of("kinds.nff", (4, 4, 4), (96, 96))
-    holding, prices, walks, work = counted(job, "list")
+    holding, prices, walks, work = counted_of(job, "list")
     assert steps_of_a_sample(holding, job.frame, price_lists(prices, walks)) == pytest.approx(
         work.steps / work.samples, rel=0.1
     )

@@ -11,6 +11,8 @@ from support.render import SCENES
 from support.service import SIZE, array, name, sums
 
 import raygrid
+from raygrid.host.client import async_client
+from raygrid.host.client.picture_folder import PictureFolder
 
 __all__ = ["array", "name", "warm_kernels"]
 
@@ -82,35 +84,55 @@ def test_a_render_that_is_cancelled_cancels_its_job_and_the_connection_lives(nam
     assert array.jobs()[-1]["state"] == "cancelled"
 
 
-def test_a_render_that_is_cancelled_before_its_job_has_a_number_cancels_it(name, array):
+def test_a_render_that_is_cancelled_before_its_job_has_a_number_cancels_it(name, array, monkeypatch):
     """The service is stopped, so that the answer is awaited meanwhile; the connection closes when the job is cancelled."""
 
     async def main():
         async with raygrid.aio.connect(name) as other:
             os.kill(array.pid, signal.SIGSTOP)
             try:
+                asked, send, cancel = asyncio.Event(), other._connection.ask, other.cancel
+
+                def ask(*arguments, **options):
+                    asked.set()
+                    return send(*arguments, **options)
+
+                async def noted(jobs):
+                    cancelled.append(list(jobs))
+                    return await cancel(jobs)
+
+                monkeypatch.setattr(other._connection, "ask", ask)
+                monkeypatch.setattr(other, "cancel", noted)
                 task = asyncio.create_task(other.render(TINY, **LONG))
                 async with asyncio.timeout(60):
-                    while not other._connection._slots:
-                        await asyncio.sleep(0.01)
+                    await asked.wait()
                 task.cancel()
                 with pytest.raises(asyncio.CancelledError):
                     await task
             finally:
                 os.kill(array.pid, signal.SIGCONT)
 
-    before = array.jobs()
+    before, cancelled = array.jobs(), []
     asyncio.run(main())
     last = array.jobs()[-1]
     assert last not in before
+    assert cancelled == [[last["job"]]]
     assert last["state"] in ("cancelled", "failed")  # failed: it was begun, and its folder was gone
 
 
-def test_a_render_that_is_cancelled_at_once_leaves_no_folder(name, array):
+def test_a_render_that_is_cancelled_while_its_folder_is_made_leaves_none(name, array, monkeypatch):
     async def main():
+        making, loop = asyncio.Event(), asyncio.get_running_loop()
+
+        def make(*arguments):
+            loop.call_soon_threadsafe(making.set)
+            return PictureFolder(*arguments)
+
+        monkeypatch.setattr(async_client, "PictureFolder", make)
         async with raygrid.aio.connect(name) as other:
             task = asyncio.create_task(other.render(TINY, size=SIZE))
-            await asyncio.sleep(0)  # it has begun to make its folder
+            async with asyncio.timeout(60):
+                await making.wait()
             task.cancel()
             with pytest.raises(asyncio.CancelledError):
                 await task

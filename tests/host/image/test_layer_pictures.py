@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-
 import numpy as np
 import pytest
 from PIL import Image
@@ -125,9 +123,9 @@ def test_a_picture_tells_of_its_layers():
     assert "layers" not in repr(Picture(np.zeros((2, 2, 3), np.int64), 1, {}))
 
 
-def test_an_exr_in_memory_has_them_too():
+def test_an_exr_in_memory_has_them_too(tmp_path):
     openexr = pytest.importorskip("OpenEXR", reason="the extra exr is not installed")
-    assert openexr is not None
-    data = io.BytesIO(picture().encoded("a.exr")).getvalue()
-    for name in (b"N.X\0", b"Z\0", b"id\0"):
-        assert name in data[:400]
+    path = tmp_path / "a.exr"
+    path.write_bytes(picture().encoded("a.exr"))
+    with openexr.File(str(path), separate_channels=True) as file:
+        assert {"N.X", "Z", "id"} <= set(file.channels())

@@ -12,6 +12,7 @@ import pytest
 from oracle import kernels
 from support.oracle import oracle_scene
 from support.render import SCENES
+from support.timed import scene_of
 
 import raygrid
 from raygrid.emulator.driver.memory_array import MemoryArray
@@ -23,7 +24,6 @@ from raygrid.host.render.frame import render_job
 from raygrid.host.render.job import Job, Settings, make_job
 from raygrid.host.render.layer_frames import with_layers
 from raygrid.host.render.program_file import read_program
-from raygrid.host.scene.load import load_scene
 from raygrid.node.errors import SceneError
 from raygrid.node.protocol import prices_order
 
@@ -41,11 +41,6 @@ OF_PROCESS = {"busy_seconds", "cpu_seconds", "peak_memory", "private_memory"}
 
 def settings_of(layers=LAYERS, **changes) -> Settings:
     return Settings(**{"size": SIZE, "samples": 1, "layers": tuple(layers)} | changes)
-
-
-@cache
-def scene_of(name):
-    return load_scene(SCENES / name)
 
 
 def array_of(shape, **options) -> MemoryArray:

@@ -76,7 +76,8 @@ def test_an_affine_inverse_takes_points_back():
 def test_units_have_the_length_one_and_what_has_none_is_zero():
     rows = np.concatenate((GENERATOR.normal(size=(20, 3)), np.zeros((1, 3)), np.full((1, 3), 1e-200)))
     made = units(rows)
-    assert np.allclose(lengths(made[:20]), 1.0, rtol=1e-15)
+    assert np.allclose(lengths(made[:20]), 1.0, rtol=1e-15, atol=0.0)
+    assert (np.sum(made[:20] * rows[:20], axis=1) > 0.0).all()
     assert np.allclose(np.cross(made, rows), 0.0, atol=1e-15)
     assert not made[20:].any()
     assert units(rows.reshape(11, 2, 3)).reshape(22, 3).tolist() == made.tolist()

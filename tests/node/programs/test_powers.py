@@ -59,6 +59,14 @@ def body(source):
         ("from math import sqrt as pow\na = pow(x)", "a = pow(x)"),
         ("pow = 2.0\na = pow + 1.0", "a = pow + 1.0"),
         ("def tint(point, pow):\n    return pow\na = tint", "a = tint"),
+        ("def tint(pow):\n    return pow\na = pow(x, y)", f"a = {NAME}(x, y)"),
+        ("from math import pow\ndef tint(x):\n    pow = x\n    return pow\na = pow(x, y)", f"a = {NAME}(x, y)"),
+        ("def f(pow, x=pow(y, z)):\n    return pow(x)", f"def f(pow, x={NAME}(y, z)):\n    return pow(x)"),
+        ("a = lambda pow: pow(x)", "a = lambda pow: pow(x)"),
+        (
+            "def f(x):\n    def g(y):\n        return pow(x, y)\n    return g",
+            f"def f(x):\n\n    def g(y):\n        return {NAME}(x, y)\n    return g",
+        ),
     ],
 )
 def test_what_a_line_becomes(source, wanted):
@@ -73,6 +81,10 @@ def test_what_a_program_works_out_when_its_text_is_run_has_the_same_bits():
     assert space["found"] == power(2.0, 0.5) != math.sqrt(2.0)
     assert any_power(2, 10) == 1024
     assert any_power(np.array([2.0, -2.0]), 3.0).tolist() == [power(2.0, 3.0), -power(2.0, 3.0)]
+    assert any_power(np.array([[2], [3]]), np.array([0.5, 2.5])).tolist() == [
+        [power(x, y) for y in (0.5, 2.5)] for x in (2.0, 3.0)
+    ]
+    assert any_power(np.zeros((0, 2)), 0.5).shape == (0, 2)
 
 
 def test_compiled_powers_have_the_safe_bits():
