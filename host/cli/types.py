@@ -138,11 +138,12 @@ class LayersType(AnyType):
         """Raises a usage error for names that are none."""
         if isinstance(value, tuple):
             return value
-        words = [word.strip() for word in str(value).split(",")]
-        for word in words:
-            if word not in LAYERS:
-                self.fail(f"{shorten(word)} came, wanted some of: {','.join(LAYERS)}", param, ctx)
-        return checked_layers(words)
+        from raygrid.host.text.misuse import SceneMisuse
+
+        try:
+            return checked_layers([word.strip() for word in str(value).split(",")])
+        except SceneMisuse as error:
+            self.fail(str(error), param, ctx)
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """Each layer that is not named yet, after those that are."""

@@ -118,7 +118,7 @@ class AsyncService:
         given = given_job(settings, budget, program, priority)
         async with self._folder(scene, several=True) as folder:
             if frames is None:
-                outside = (await self.status())["outside"]
+                outside = (await self.status()).get("outside", False)
                 runs = await asyncio.to_thread(all_frames, folder.scene, outside)
             else:
                 runs = runs_of(frames)

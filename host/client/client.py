@@ -133,7 +133,8 @@ class Service:
         The others, and what is raised, as for `render`.
         """
         with PictureFolder(scene, several=True) as folder:
-            runs = all_frames(folder.scene, self.status()["outside"]) if frames is None else runs_of(frames)
+            # an array that was launched by an older version does not tell
+            runs = all_frames(folder.scene, self.status().get("outside", False)) if frames is None else runs_of(frames)
             for ends in runs:
                 yield from self._pictures(folder, ends, progress, given_job(settings, budget, program, priority))
 

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from raygrid.host.image.picture import Picture
     from raygrid.host.scene.load import SceneLike
 
-OUTSIDE = "raygrid up --allow-outside"  # lets an array that stays read files outside the folders of scenes
 PREFIX = "pictures-of-raygrid-"
 ATTEMPTS = 8  # to remove a folder
 RETRY_SECONDS = 0.1  # before the next
@@ -128,7 +127,7 @@ def all_frames(scene: str, outside: bool) -> list[Ends]:
     outside  whether the array lets scenes refer to files outside their folders
     Raises SceneError for a scene that cannot be read.
     """
-    from raygrid.host.scene.load import load_scene
+    from raygrid.host.scene.load import REMEDY_OF_ARRAY, load_scene
 
-    shot = load_scene(scene, outside, OUTSIDE).shot
+    shot = load_scene(scene, outside, REMEDY_OF_ARRAY).shot
     return [(1, 1 if shot is None else shot.frames)]

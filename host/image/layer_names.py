@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 from raygrid.host.files.input_guard import STANDARD
 from raygrid.host.image.outputs import FORMATS, suffix_of
+from raygrid.host.text.clean_text import shown
 from raygrid.host.text.misuse import OutputMisuse, SceneMisuse
 
 LAYERS = ("depth", "normal", "surface", "material")
@@ -27,7 +28,7 @@ def checked_layers(names: Iterable[str]) -> tuple[str, ...]:
     named = [names] if isinstance(names, str) else list(names)
     for name in named:
         if name not in LAYERS:
-            raise SceneMisuse(f"a layer came as {name!r}, wanted some of: {' '.join(LAYERS)}")
+            raise SceneMisuse(f"a layer came as {shown(name)}, wanted some of: {' '.join(LAYERS)}")
     return tuple(layer for layer in LAYERS if layer in named)
 
 

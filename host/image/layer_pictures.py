@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from raygrid.host.image.layer_names import NUMBERS
 from raygrid.host.image.npy import write_npy
-from raygrid.host.image.outputs import FORMATS, SUMS, check_side, suffix_of, write_whole
-from raygrid.host.image.png_texts import png_texts
+from raygrid.host.image.outputs import SUMS, suffix_of, write_whole
+from raygrid.host.image.pixel_writer import pixel_writer
 from raygrid.host.image.radiance import write_pfm
 
 Layer = NDArray[Any]
@@ -38,27 +38,21 @@ def channels_of(layers: Mapping[str, Layer]) -> dict[str, Layer]:
     return channels
 
 
-def save_layer(path: str, layer: str, values: Layer, texts: Mapping[str, str] | None = None) -> None:
+def save_layer(path: str, layer: str, values: Layer) -> None:
     """Write a layer as the suffix says: numbers (.npy .pfm), else a picture to look at, as `layer_picture` makes it.
 
-    texts  kept beside it in a .png, keyword -> Latin-1 text
     Raises OutputError.
     """
-    write_whole(path, _writer(path, layer, values, texts))
+    write_whole(path, _writer(path, layer, values))
 
 
-def _writer(path: str, layer: str, values: Layer, texts: Mapping[str, str] | None) -> Callable[[BinaryIO], object]:
+def _writer(path: str, layer: str, values: Layer) -> Callable[[BinaryIO], object]:
     suffix = suffix_of(path)
     if suffix == SUMS:
         return functools.partial(write_npy, values)
     if suffix == ".pfm":
         return functools.partial(write_pfm, values)
-    from PIL import Image
-
-    check_side(path, values.shape[1], values.shape[0])
-    kind, image = FORMATS[suffix], Image.fromarray(layer_picture(layer, values))
-    options = kind.options | ({"pnginfo": png_texts(texts)} if texts and kind.name == "PNG" else {})
-    return lambda file: image.save(file, kind.name, **options)
+    return pixel_writer(path, layer_picture(layer, values))
 
 
 def layer_picture(layer: str, values: Layer) -> Bytes:
@@ -75,7 +69,7 @@ def layer_picture(layer: str, values: Layer) -> Bytes:
 def _greys(depths: Layer) -> Bytes:
     there = np.isfinite(depths)
     near, far = (float(depths[there].min()), float(depths[there].max())) if there.any() else (0.0, 1.0)
-    nearness = (far - np.where(there, depths, far)) / max(far - near, 1e-30)
+    nearness = 1.0 - (np.where(there, depths, near) - near) / max(far - near, 1e-30)
     grey = np.where(there, FARTHEST_GREY + (1.0 - FARTHEST_GREY) * nearness, 0.0)
     return np.repeat(np.rint(grey * 255.0).astype(np.uint8)[..., None], 3, axis=2)
 

@@ -25,11 +25,10 @@ from raygrid.host.image.outputs import (
     check_format,
     check_path,
     check_picture_path,
-    check_side,
     suffix_of,
     write_whole,
 )
-from raygrid.host.image.png_texts import png_texts
+from raygrid.host.image.pixel_writer import pixel_writer
 from raygrid.host.image.transfer import TRANSFERS, to_bytes
 from raygrid.node.errors import OutputError
 from raygrid.node.tracing import UNIT
@@ -145,13 +144,7 @@ class Picture:
 
                 return functools.partial(write_exr, self.linear(), channels=channels_of(self.layers))
             return functools.partial(WRITERS[suffix], self.linear())
-        from PIL import Image
-
-        check_side(path, self.sums.shape[1], self.sums.shape[0])
-        kind = FORMATS[suffix]
-        image = Image.fromarray(self.bytes(transfer))
-        options = kind.options | ({"pnginfo": png_texts(texts)} if texts and kind.name == "PNG" else {})
-        return lambda file: image.save(file, kind.name, **options)
+        return pixel_writer(path, self.bytes(transfer), texts)
 
 
 class Encoder:

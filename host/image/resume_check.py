@@ -5,13 +5,14 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raygrid.host.image.outputs import SUMS, suffix_of
+from raygrid.host.image.outputs import SUMS, check_picture_path, suffix_of, write_whole
+from raygrid.host.image.pixel_writer import pixel_writer
 from raygrid.node.errors import RaygridError
 
 if TYPE_CHECKING:
@@ -25,8 +26,10 @@ Recorded = Callable[[str, str], bool]
 
 def save_marked(picture: Picture, path: str, transfer: str, digest: str) -> None:
     """Write a picture or a .npy; a .png says itself what it is. Raises OutputError."""
-    texts = mark(digest, picture.bytes(transfer)) if suffix_of(path) == ".png" else {}
-    picture.save(path, transfer, texts)
+    if suffix_of(path) == ".png":
+        _write_marked(path, digest, picture.bytes(transfer))
+    else:
+        picture.save(path, transfer)
 
 
 def save_marked_layer(picture: Picture, file: LayerFile, digest: str) -> None:
@@ -35,13 +38,20 @@ def save_marked_layer(picture: Picture, file: LayerFile, digest: str) -> None:
 
     path, layer = file
     values = picture.layers[layer]
-    texts = mark(digest_of_layer(digest, layer), layer_picture(layer, values)) if suffix_of(path) == ".png" else {}
-    save_layer(path, layer, values, texts)
+    if suffix_of(path) == ".png":
+        _write_marked(path, digest_of_layers(digest, layer), layer_picture(layer, values))
+    else:
+        save_layer(path, layer, values)
 
 
-def digest_of_layer(digest: str, layer: str) -> str:
-    """A digest of all that a layer depends on, of that of its picture."""
-    return hashlib.sha256(f"{digest} {layer}".encode()).hexdigest()
+def _write_marked(path: str, digest: str, pixels: NDArray[np.uint8]) -> None:
+    check_picture_path(path)
+    write_whole(path, pixel_writer(path, pixels, mark(digest, pixels)))
+
+
+def digest_of_layers(digest: str, *layers: str) -> str:
+    """A digest of all that a file with these layers depends on, of that of its picture."""
+    return hashlib.sha256(" ".join((digest, *layers)).encode()).hexdigest()
 
 
 def mark(digest: str, pixels: NDArray[np.uint8]) -> dict[str, str]:
@@ -55,13 +65,16 @@ def nobody(_path: str, _digest: str) -> bool:
 
 
 def frame_is_there(
-    files: Sequence[str], stats: str | None, digest: str, size: tuple[int, int], recorded: Recorded = nobody
+    files: Iterable[tuple[str, str]], stats: str | None, size: tuple[int, int], recorded: Recorded = nobody
 ) -> bool:
-    """Test that all files of a frame are there, whole, and of just that frame; statistics need only be there."""
+    """Test that all files of a frame are there, whole, and of just that frame; statistics need only be there.
+
+    files  (path, digest of all that it depends on)
+    """
     if stats is not None and not os.path.isfile(stats):
         return False
     with contextlib.suppress(RaygridError):  # a journal that cannot be read vouches for nothing
-        return all(is_whole(file, digest, *size, recorded) for file in files)
+        return all(is_whole(file, digest, *size, recorded) for file, digest in files)
     return False
 
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import os
 import sqlite3
 import time
@@ -210,15 +209,19 @@ class Journal:
                     row = (path, digest, status.st_size, status.st_mtime_ns, job)
                     base.execute("insert or replace into files values (?, ?, ?, ?, ?)", row)
 
-    def set_state(self, job: int, state: str, error: str = "", at: float | None = None) -> None:
-        """Record what became of a job, and when, in seconds since 1970; None: now. Raises OutputError."""
+    def set_state(self, job: int, state: str, error: str = "", at: float | None = None) -> bool:
+        """Record what became of a job, and when, in seconds since 1970; None: now. Whether there is such a job.
+
+        Raises OutputError.
+        """
         now = time.time() if at is None else at
         begun, ended = (now if state == "running" else None), (now if state in ENDED else None)
         values = (state, printable(error), begun, ended, job)
         with self._change() as base:
-            base.execute(
+            done = base.execute(
                 "update jobs set state = ?, error = ?, begun = coalesce(begun, ?), ended = ? where job = ?", values
             )
+            return done.rowcount > 0
 
     def restore(self, row: JobRow, frames: Iterable[Record], last: int = 0) -> None:
         """Record a job as it stands, under its own number; no later job has one of up to `last`. Raises OutputError.
@@ -333,7 +336,7 @@ def read_row(row: Record) -> JobRow:
 
 def is_time(value: object) -> TypeGuard[float]:
     """Whether a value of the journal is a time that a calendar has, in seconds since 1970."""
-    return isinstance(value, int | float) and math.isfinite(value) and abs(value) < LATEST
+    return isinstance(value, int | float) and abs(value) < LATEST
 
 
 def _text(name: str, value: object) -> str:

@@ -19,6 +19,9 @@ from raygrid.node.geometry import LONGEST_STEP
 from raygrid.node.tracing import MAX_INTENSITY, UNIT
 
 MOST_BUDGET = (1 << 32) - 1  # a quota of primary rays travels as a u32
+LAYER_BYTES = (
+    90  # of one pixel while layers are traced: the picture, and layers that are found (86 measured, 3000x2000)
+)
 PIXEL_BYTES = 96  # of one pixel in its home, in the sums collected, and while its picture is made
 Watch = Callable[[str, Progress | None], None]
 
@@ -91,7 +94,8 @@ def needs_increment(driver: Driver, job: Job) -> bool:
 
 def _check_memory(job: Job) -> None:
     """Raise TooLarge for a picture that this computer has no room for, before the kernel ends a process for it."""
-    need, there = job.pixels * PIXEL_BYTES, read_memory()
+    a_pixel = PIXEL_BYTES + (LAYER_BYTES if job.settings.layers else 0)
+    need, there = job.pixels * a_pixel, read_memory()
     if need > there.left:
         raise TooLarge(
             f"a picture of {job.frame.width}x{job.frame.height} pixels needs {need / 1e9:.1f} GB of memory, "

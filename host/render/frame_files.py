@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from raygrid.host.image.frames import FrameNames
+from raygrid.host.image.layer_names import HOLDS_LAYERS
 from raygrid.host.image.moving_pictures import Reel
 from raygrid.host.image.outputs import suffix_of
 from raygrid.host.image.picture import Picture
 from raygrid.host.image.resume_check import (
     Recorded,
-    digest_of_layer,
+    digest_of_layers,
     frame_is_there,
-    is_whole,
     nobody,
     save_marked,
     save_marked_layer,
@@ -39,12 +39,9 @@ class FrameFiles:
 
         recorded  as of `raygrid.host.image.resume_check.is_whole`
         """
-        if not frame_is_there(self.single, self.stats, self.digest, self.ready.size, recorded):
-            return False
-        if not all(
-            is_whole(path, digest_of_layer(self.digest, layer), *self.ready.size, recorded)
-            for path, layer in self.layers
-        ):
+        files = [(path, self._digest_of(path)) for path in self.single]
+        files += [(path, digest_of_layers(self.digest, layer)) for path, layer in self.layers]
+        if not frame_is_there(files, self.stats, self.ready.size, recorded):
             return False
         if self.all_played(recorded):
             return True
@@ -53,6 +50,11 @@ class FrameFiles:
             self.waiting().take(self.frame, pictures[0])
         return bool(pictures)
 
+    def _digest_of(self, path: str) -> str:
+        """Of all that a file of the picture depends on: one that holds layers depends on which."""
+        layers = self.ready.job.settings.layers if suffix_of(path) == HOLDS_LAYERS else ()
+        return digest_of_layers(self.digest, *layers) if layers else self.digest
+
     def all_played(self, _recorded: Recorded) -> bool:
         """Whether no file that holds all frames wants this one."""
         return not self.names.played
@@ -60,7 +62,7 @@ class FrameFiles:
     def write(self, picture: Picture) -> None:
         """Write the frame. Raises OutputError."""
         for file in self.single:
-            save_marked(picture, file, self.transfer, self.digest)
+            save_marked(picture, file, self.transfer, self._digest_of(file))
         for layer in self.layers:
             save_marked_layer(picture, layer, self.digest)
         if self.stats is not None:

@@ -41,7 +41,7 @@ class PreparedFrame:
         """
         settings = self.job.settings
         program = None if settings.program is None else settings.program.digest
-        words = astuple(replace(settings, split="", program=None, layers=()))[:-1]
+        words = astuple(replace(settings, split="", program=None, layers=()))
         return hashlib.sha256(repr((_version(), self.contents, words, program, frame, transfer)).encode()).hexdigest()
 
 

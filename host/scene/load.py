@@ -39,6 +39,7 @@ READERS = {
 NO_VIEW = view_of({})
 MOST_REMARKS = 100
 REMEDY = "--allow-outside (in Python allow_outside=True)"
+REMEDY_OF_ARRAY = "raygrid up --allow-outside"  # for scenes that an array that stays reads
 
 
 def check_name(path: str | Path) -> None:

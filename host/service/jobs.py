@@ -30,7 +30,7 @@ class Unrecorded(NamedTuple):
     """A change that is to be written to the journal, and of which job."""
 
     job: int
-    write: Callable[[Journal], None]
+    write: Callable[[Journal], object]
 
 
 class Jobs:
@@ -138,12 +138,12 @@ class Jobs:
         self._ended[row.job] = row
 
         def write(journal: Journal) -> None:
-            journal.set_state(row.job, row.state, row.error, row.ended)
-            self._ended.pop(row.job, None)
+            if journal.set_state(row.job, row.state, row.error, row.ended):  # one made anew does not have it
+                self._ended.pop(row.job, None)
 
         self._record(row.job, write)
 
-    def _record(self, job: int, write: Callable[[Journal], None]) -> None:
+    def _record(self, job: int, write: Callable[[Journal], object]) -> None:
         """Write to the journal now, or when that is possible again: the array goes on without."""
         self._unrecorded.append(Unrecorded(job, write))
         self.flush()
@@ -221,7 +221,8 @@ class Jobs:
         return last + [entry_facts(entry, self._requests[job]) for job, entry in entries]
 
     def counts(self) -> dict[str, int]:
-        """Jobs by state, those that have ended as the journal has them; none if it cannot be read."""
+        """Jobs by state: those that have ended of the journal and of memory, the others of the schedule; none if the
+        journal cannot be read."""
         try:
             kept = self.journal.counts()
         except OutputError:

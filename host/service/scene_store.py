@@ -8,14 +8,13 @@ from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from raygrid.host.client.picture_folder import OUTSIDE
 from raygrid.host.client.requests import SubmitMessage
 from raygrid.host.image.frames import Turntable, frames_of
 from raygrid.host.render.animation_jobs import AnimationJobs
 from raygrid.host.render.given_settings import parted
 from raygrid.host.render.job import Job, Settings, make_job
 from raygrid.host.render.prepared import PreparedFrame, contents_of_shot, contents_of_still, remarks_on, turned
-from raygrid.host.scene.load import NO_VIEW, load_scene
+from raygrid.host.scene.load import NO_VIEW, REMEDY_OF_ARRAY, load_scene
 from raygrid.host.scene.scene import Scene
 from raygrid.host.scene.sources import Sources, recorded
 from raygrid.host.scene.view import View, view_of
@@ -85,7 +84,7 @@ class SceneStore:
         kept = self._scenes.pop((path, view), None)
         if kept is None or kept[0].changed():
             with recorded() as sources:
-                scene = load_scene(path, self._allow_outside, OUTSIDE, **view.given())
+                scene = load_scene(path, self._allow_outside, REMEDY_OF_ARRAY, **view.given())
             kept = sources, scene
         _keep(self._scenes, (path, view), kept)
         return kept

@@ -151,7 +151,13 @@ def _for_the_array(ready: PreparedFrame) -> PreparedFrame:
     """A frame without what only its making needed: of the scene nothing but its name."""
     scene = ready.job.scene
     bare = replace(
-        scene, surfaces=SurfaceSet(()), materials=scene.materials[:0], lights=scene.lights[:0], rules=None, shot=None
+        scene,
+        surfaces=SurfaceSet(()),
+        materials=scene.materials[:0],
+        material_names=(),
+        lights=scene.lights[:0],
+        rules=None,
+        shot=None,
     )
     return replace(ready, job=replace(ready.job, scene=bare))
 

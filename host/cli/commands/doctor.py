@@ -88,7 +88,7 @@ def examine() -> DoctorFacts:
 
 
 def _stops(paths: dict[str, FastPath] | None, places: LocationFacts) -> Iterator[str]:
-    """What keeps an array from running, and what helps."""
+    """What keeps an array from running, or lets it run far too slowly, and what helps."""
     if paths is not None and not paths["compiled kernels"]["on"]:
         yield f"kernels are interpreted, which is far slower ({paths['compiled kernels']['why']}): unset it"
     if None not in places["sockets"].values():

@@ -50,6 +50,7 @@ def scene_of_trimesh(given: trimesh.Trimesh | trimesh.Scene) -> Scene:
             else:
                 if not len(given.faces):
                     raise SceneError(f"{name}: the mesh has no faces, wanted at least one")
+                reader.physical = _is_physical(given)
                 reader.read_mesh(given, np.eye(4), name)
         except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
             # Attributes of these objects may be anything; whatever has the wrong type or is missing ends here.
@@ -105,7 +106,6 @@ class _TrimeshReader:
             normals = _table(mesh.vertex_normals, 3, f"{where}: the normals", len(points))
         kind, data, faces = placed_faces(matrix, points, faces, normals)
         materials = self._materials(mesh, faces, where)
-        self.physical = self.physical or _is_physical(mesh)
         if normals is None:
             # What would be written as glTF is flat, as that format says.
             self.builder.add_facets(data, materials, crease=0.0 if self.physical else CREASE)

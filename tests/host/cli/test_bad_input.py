@@ -276,6 +276,8 @@ def test_a_picture_larger_than_the_memory(monkeypatch, tmp_path):
         1,
         r"raygrid: a picture of 1000x1000 pixels needs 0\.1 GB of memory, and memory\.max of the control group leaves 0\.0 GB",
     )
+    outcome = here("render", TINY, "--size", "1000x1000", "--layers", "depth", "-o", str(tmp_path / "x.png"))
+    one_line(outcome, 1, r"raygrid: a picture of 1000x1000 pixels needs 0\.2 GB of memory, .*")
 
 
 def test_numbers_as_numpy_writes_them_are_no_obstacle(tmp_path):

@@ -142,7 +142,7 @@ def test_a_png_whose_pixels_were_edited_is_another(picture, tmp_path):
         kept.add_text(KEYWORD, text)
         pixels.save(file, pnginfo=kept)
         assert is_whole(str(file), "digest", 32, 24, never) == whole
-    assert frame_is_there([str(file)], None, "digest", (32, 24), always)
+    assert frame_is_there([(str(file), "digest")], None, (32, 24), always)
 
 
 def test_a_png_of_before_its_pixels_had_a_digest_does_not_match(picture, tmp_path):

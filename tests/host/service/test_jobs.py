@@ -157,6 +157,21 @@ def test_a_journal_that_cannot_be_written_catches_up(jobs, monkeypatch):
     assert jobs.journal.find(entry.job).state == "done"
 
 
+def test_a_job_that_ends_while_the_journal_is_gone_is_told_of(jobs):
+    """A journal that is made anew holds those that have not ended."""
+    ended, waiting = jobs.submit(request(1, 2)), jobs.submit(request(1, 1))
+    take(jobs, 1)
+    for suffix in ("", "-wal", "-shm"):
+        jobs.journal.path.with_name(jobs.journal.path.name + suffix).unlink(missing_ok=True)
+    jobs.cancel(ended)
+    assert jobs.trouble == ""
+    assert jobs.journal.find(ended.job) is None
+    told = jobs.facts(ended.job)
+    assert (told["state"], told["done"]) == ("cancelled", 1)
+    assert jobs.list(10) == [told, jobs.facts(waiting.job)]
+    assert jobs.counts() == {"cancelled": 1, "queued": 1}
+
+
 def test_what_has_ended_is_told_of_while_no_end_can_be_recorded(jobs, monkeypatch):
     """Whoever asks hears of it: who would follow a job that has ended would wait for ever."""
     kept = jobs.submit(request(1, 1))

@@ -17,7 +17,7 @@ __all__ = ["warm_kernels"]
 TINY = str(SCENES / "tiny.nff")
 MOBILE = str(SCENES / "mobile.toml")
 SMALL = ("--array", "2x1x1", "--size", "32x24", "--samples", "1", "--quiet")
-NONE = r"depth,normal,surface,material"
+NONE = "depth normal surface material"
 
 
 @pytest.mark.usefixtures("no_leftovers", "warm_kernels")
@@ -79,7 +79,9 @@ def test_frames_have_layers_that_resume_looks_for(tmp_path):
 @pytest.mark.parametrize("name", ["dept", "", "depth,,normal", "depth;normal"])
 def test_a_layer_that_is_none_is_misuse(name):
     word = name.split(",")[1] if "," in name else name
-    misused(here("render", TINY, "--layers", name), "render", rf"--layers: {word!r} came, wanted some of: {NONE}")
+    misused(
+        here("render", TINY, "--layers", name), "render", rf"--layers: a layer came as {word!r}, wanted some of: {NONE}"
+    )
 
 
 @pytest.mark.parametrize(
